@@ -23,7 +23,7 @@ from emulator.casting.hits import MISS, Aim, Counters, Crossing, Met, Nearest, P
 from emulator.casting.structures import Layout, Movers
 from emulator.compiled.pair import OTHERWISE, array_form, by_loops
 from emulator.physics.arrays import indexes
-from emulator.world.batched_poses import Flags, Longs, Stretch, may_meet, through_sphere
+from emulator.world.batched_poses import Flags, Longs, Stretch, few, may_meet, through_sphere
 from emulator.world.broad_phase import KEPT, BroadPhase
 from emulator.world.fed import Fed, FedNow
 from emulator.world.motion import Motion
@@ -235,6 +235,9 @@ class MovingCast:
         movers = self._near(*box, begin, end, far)
         if not len(movers.body):
             return None
+        now = movers.batched.during(begin, end)
+        if not len(now.curved) and (all_ := few(len(movers.body), aim.ray)) is not None:
+            return self._cross(movers, now, NONE_BENT, *all_, origin, aim, times, far, known_m, into)
         now, place, swept, curved = _whereabouts(movers, begin, end)
         near = None if self._fed is None or not len(curved) else self._looked(movers, times, curved)
         if near is not None:
@@ -247,6 +250,12 @@ class MovingCast:
         if not len(which):
             return None
         bent = _bent(movers, near, curved, which, rays, times)
+        return self._cross(movers, now, bent, which, rays, origin, aim, times, far, known_m, into)
+
+    def _cross(
+        self, movers: Movers, now: Stretch, bent: Bent, which: Longs, rays: Longs,
+        origin: Floats, aim: Aim, times: Floats, far: float, known_m: Floats, into: Nearest | None,
+    ) -> Met | None:  # fmt: skip
         crossed = self._crossed if movers.scale is None else partial(array_form(MovingCast._crossed), self)
         return crossed(movers, now, bent, which, rays, origin, aim, times, far, known_m, into)
 
@@ -455,7 +464,7 @@ def _whereabouts(movers: Movers, begin: float, end: float) -> tuple[Stretch, Flo
     """Motions from `begin` to `end`; centres (3, b), how far they may be from there, and which do not move straight."""
     now, middle = movers.batched.during(begin, end), begin + (end - begin) / 2.0
     place, swept = _straight(now, movers.centre, begin, end)
-    curved = indexes(~now.straight)
+    curved = now.curved
     if len(curved):  # anywhere around where the body's origin is, as far as it can have come
         for mover in curved:
             motion = movers.batched.motions[mover]

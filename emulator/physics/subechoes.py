@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from types import ModuleType
 from typing import Any, TypeVar
 
@@ -102,12 +103,7 @@ class SubEchoes:
         kept = indexes(~beams[self.beam])
         order = np.concatenate([self.beam[kept], others.beam]).argsort(kind="stable")  # of two runs: they are merged
         first = np.concatenate([kept, len(self) + np.arange(len(others))])[order]
-
-        def column(one: NDArray[Number], other: NDArray[Number]) -> NDArray[Number]:
-            both: NDArray[Number] = np.concatenate([one, other])
-            return both.take(first)
-
-        return _of_columns(self, others, column)
+        return _of_columns(self, others, partial(_taken, first))
 
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
@@ -126,17 +122,19 @@ def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
     low = min(0.0, float(one.range_m.min()), float(other.range_m.min()))
     length = max(float(one.range_m.max()), float(other.range_m.max())) - low + 1.0
     key, keys = one.beam * length + one.range_m, other.beam * length + other.range_m
-    place = key.searchsorted(keys, side="right") + np.arange(len(keys))
-    of_other = np.zeros(len(key) + len(keys), np.bool_)
-    of_other[place] = True
-    own = indexes(~of_other)
+    each = np.arange(len(keys))
+    place = key.searchsorted(keys, side="right") + each
+    of_one = np.ones(len(key) + len(keys), np.bool_)
+    of_one[place] = False
+    order = of_one.cumsum() - 1  # which of the first is there
+    order[place] = len(key) + each
+    return _of_columns(one, other, partial(_taken, order))
 
-    def column(first: NDArray[Number], second: NDArray[Number]) -> NDArray[Number]:
-        both = np.zeros(len(of_other), first.dtype)
-        both[own], both[place] = first, second
-        return both
 
-    return _of_columns(one, other, column)
+def _taken(order: Ints, one: NDArray[Number], other: NDArray[Number]) -> NDArray[Number]:
+    """Of two columns, one behind the other."""
+    both: NDArray[Number] = np.concatenate([one, other])
+    return both.take(order)
 
 
 def _of_columns(one: SubEchoes, other: SubEchoes, column: Callable[[Any, Any], Any]) -> SubEchoes:

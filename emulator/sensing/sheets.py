@@ -20,7 +20,7 @@ from emulator.physics.beams import NO_WIDTH, BeamShape
 from emulator.physics.materials import SurfaceTable
 from emulator.world.connected import pieces_of
 from emulator.world.fed import Fed, around
-from emulator.world.motion import Pose
+from emulator.world.motion import Motion, Pose
 
 if TYPE_CHECKING:
     from emulator.world.scene import Body, Scene
@@ -165,12 +165,23 @@ class Sheets:
         for k, number in enumerate(self._body.tolist()):
             if number in self._fixed:
                 self._arm_m[k] = self._fixed[number][1] @ self._middle_m[k]
+        self._still_m = np.zeros((len(sheets), 3))
+        "(s, 3) where they are, of bodies that stay there."
+        self._roaming: list[tuple[slice, Motion, bool]] = []
+        "Those of other bodies that nobody feeds: their motion, and whether they turn."
+        for begin, end in _runs(self._body):
+            number, mine = int(self._body[begin]), slice(begin, end)
+            motion, fixed = scene.bodies[number].motion, self._fixed.get(number)
+            if fixed is not None and fixed[2]:
+                self._still_m[mine] = fixed[0] + self._arm_m[mine]
+            elif not isinstance(motion, Fed):
+                self._roaming.append((mine, motion, fixed is None))
         fed = {number: scene.bodies[number].motion for number in dict.fromkeys(self._body.tolist())}
-        mine = {number: motion for number, motion in fed.items() if isinstance(motion, Fed)}
-        self._fed_motions = list(mine.values())
-        self._fed = np.array([k for k, number in enumerate(self._body.tolist()) if number in mine], np.int64)
+        moved = {number: motion for number, motion in fed.items() if isinstance(motion, Fed)}
+        self._fed_motions = list(moved.values())
+        self._fed = np.array([k for k, number in enumerate(self._body.tolist()) if number in moved], np.int64)
         "Sheets of bodies that somebody else moves; which of these motions each has, and how far from its origin it is."
-        self._fed_motion = np.array([list(mine).index(number) for number in self._body[self._fed].tolist()], np.int64)
+        self._fed_motion = np.array([list(moved).index(number) for number in self._body[self._fed].tolist()], np.int64)
         self._fed_arm_m = np.linalg.norm(self._middle_m[self._fed], axis=1)
         self._radius_m = np.array([one.radius_m for one in sheets])
         self._faces = np.array([len(one.material) for one in sheets], np.int64)
@@ -209,19 +220,15 @@ class Sheets:
         if place.strides[0]:
             low, high = place.min(axis=0), place.max(axis=0)
         eye, slack = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-        centre, size = np.zeros((len(self._body), 3)), self._radius_m + slack
+        centre, size = self._still_m.copy(), self._radius_m + slack
         when = np.array([0.5 * (first + last)])
-        for begin, end in _runs(self._body):
-            motion, mine = self._bodies[self._body[begin]].motion, slice(begin, end)
-            fixed = self._fixed.get(int(self._body[begin]))
-            if isinstance(motion, Fed):
-                continue
-            if fixed is None:
+        for mine, motion, turns in self._roaming:
+            if turns:
                 centre[mine] = motion.position(when)[0]
                 size[mine] += np.linalg.norm(self._middle_m[mine], axis=1)
             else:
-                centre[mine] = (fixed[0] if fixed[2] else motion.position(when)[0]) + self._arm_m[mine]
-            if last > first and (fixed is None or not fixed[2]):
+                centre[mine] = motion.position(when)[0] + self._arm_m[mine]
+            if last > first:
                 size[mine] += motion.speed_bound_m_s * 0.5 * (last - first)
         if len(self._fed):
             where, far = around(self._fed_motions, t_s)
@@ -246,10 +253,14 @@ class Sheets:
         """Those of pairs of a beam and a sheet."""
         position, rotation = np.zeros((len(beam), 3)), np.zeros((len(beam), 3, 3))
         body, t_s = self._body[sheet], frames.t_s[beam]
+        since, until = (float(frames.t_s.min()), float(frames.t_s.max())) if len(self._fed) else (0.0, 0.0)
         for begin, end in _runs(body):
             motion, mine = self._bodies[body[begin]].motion, slice(begin, end)
             fixed = self._fixed.get(int(body[begin]))
-            if fixed is None:
+            one = motion.straight if isinstance(motion, Fed) else None
+            if one is not None and one.holds(since, until):
+                position[mine], rotation[mine] = one.position(t_s[mine]), one.rotation
+            elif fixed is None:
                 pose = motion.pose(t_s[mine])
                 position[mine], rotation[mine] = pose.position_m, pose.rotation
             else:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from types import ModuleType
 
 import numpy as np
@@ -50,6 +51,11 @@ class Stretch:
     "(b,) all of this holds through the whole time; the others pass a waypoint, jump or turn in it."
     linear: Flags
     "(b,) position holds through the whole time, whether they turn or not."
+
+    @cached_property
+    def curved(self) -> Longs:
+        """Those that are not straight."""
+        return indexes(~self.straight)
 
 
 class BatchedPoses:
@@ -145,9 +151,11 @@ class _FedNow:
         found = [(number, one) for number, motion in self._motions if (one := motion.straight) is not None]
         self._world, self._last = world, (None, np.inf, -np.inf, None)
         self._rows = np.array([number for number, _ in found], np.int64)
-        self._at = np.array([one.at_m for _, one in found]).reshape(-1, 3).T
-        self._velocity = np.array([one.velocity_m_s for _, one in found]).reshape(-1, 3).T
-        self._turned = np.array([one.rotation for _, one in found]).reshape(-1, 3, 3).transpose(1, 2, 0)
+        none = np.zeros(0)
+        self._at = np.concatenate([none, *(one.at_m for _, one in found)]).reshape(-1, 3).T
+        self._velocity = np.concatenate([none, *(one.velocity_m_s for _, one in found)]).reshape(-1, 3).T
+        turned = np.concatenate([np.zeros((0, 3)), *(one.rotation for _, one in found)])
+        self._turned = turned.reshape(-1, 3, 3).transpose(1, 2, 0)
         self._since = np.array([one.since_s for _, one in found])
         self._from = np.array([one.from_s for _, one in found])
         self._until = np.array([one.until_s for _, one in found])
@@ -263,8 +271,17 @@ def _may_meet_by_loops(
     return which, rays
 
 
+@lru_cache(maxsize=256)
 def _all_pairs(spheres: int, rays: int) -> tuple[Longs, Longs]:
-    return np.arange(spheres).repeat(rays), np.tile(np.arange(rays), spheres)
+    which, each = np.arange(spheres).repeat(rays), np.tile(np.arange(rays), spheres)
+    which.flags.writeable = each.flags.writeable = False
+    return which, each
+
+
+def few(spheres: int, ray: Floats) -> tuple[Longs, Longs] | None:
+    """All pairs, where so few of them are not worth a first choice by `may_meet`; None: they are."""
+    count = ray.shape[1]
+    return _all_pairs(spheres, count) if spheres * count <= DIRECT else None
 
 
 @by_loops(_may_meet_by_loops, "near", "cones", "pairs")

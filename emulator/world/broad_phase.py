@@ -52,12 +52,13 @@ class BroadPhase:
         if len(self._all) <= FEW or not math.isfinite(reach_m):
             return self._all
         reach_m = REACH_M * math.ceil(reach_m / REACH_M)
-        first, last = np.floor(low_m / CELL_M), np.floor(high_m / CELL_M)
         window = math.floor(begin_s / WINDOW_S), math.floor(end_s / WINDOW_S)
-        key = (*first.tolist(), *last.tolist(), *window, reach_m)
+        # cells as numbers of Python: there are six of them, and somebody asks several times a sweep
+        key = *[at / CELL_M // 1.0 for at in (*low_m.tolist(), *high_m.tolist())], *window, reach_m
         for known, chosen in self._kept:
             if known == key:
                 return chosen
+        first, last = np.floor(low_m / CELL_M), np.floor(high_m / CELL_M)
         begin, end = window[0] * WINDOW_S, (window[1] + 1) * WINDOW_S
         chosen = self._chosen(CELL_M * first, CELL_M * (last + 1.0), reach_m, begin, end)
         self._kept = ((key, chosen), *self._kept[: KEPT - 1])

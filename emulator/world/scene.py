@@ -146,8 +146,7 @@ class Scene:
             return place.pose(times)
         carrier = self.motions[self.index[mount.actor]]
         if isinstance(carrier, Fed) and (one := carrier.straight_at(times)) is not None:
-            way = Pose(np.zeros((1, 3)), one.rotation[None])
-            there = place.pose(np.zeros(1)).after(way)
+            there = _own(place).after(Pose(np.zeros((1, 3)), one.rotation[None]))
             position = one.position(times) + there.position_m[0]
             return Pose(position, np.broadcast_to(there.rotation[0], (len(times), 3, 3)))
         if carrier.turns:
@@ -160,6 +159,12 @@ class Scene:
 def _mounted(at_m: Vector, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Steady:
     """A sensor's place on what carries it."""
     return Steady(at_m, yaw_deg, pitch_deg, roll_deg)
+
+
+@lru_cache(maxsize=64)
+def _own(place: Steady) -> Pose:
+    """The same as a pose, at one instant."""
+    return place.pose(np.zeros(1))
 
 
 @lru_cache(maxsize=64)
