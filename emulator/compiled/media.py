@@ -113,13 +113,16 @@ def part_under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave
 
 
 @compiled()
-def lifted_in_air(centre, height, size, open_, sums, edged, first, bin_m, wave_number, ends):
-    """Place and height of a cluster's maximum with a medium under it, and how far it shifts it: `cosines._lifted`."""
+def lifted_in_air(centre, height, swing, size, open_, sums, edged, first, bin_m, wave_number, ends):
+    """Place and height of a cluster's maximum with a medium under it, and how far it shifts it: `cosines._lifted`.
+
+    `swing` : its |C|.
+    """
     before = part_under(centre - bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
     here = part_under(centre, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
     behind = part_under(centre + bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
     slope, curve = 0.5 * (behind - before) / bin_m, (behind - 2.0 * here + before) / (bin_m * bin_m)
-    bend = 0.5 * wave_number * wave_number * height - curve
+    bend = 0.5 * wave_number * wave_number * swing - curve
     shift = slope / bend if bend > 0.0 else 0.0
     shift = shift if abs(shift) <= bin_m else 0.0
     return centre + shift, height + here + 0.5 * slope * shift, abs(shift)
@@ -139,6 +142,53 @@ def cross_in_air(
         if not abs(crossing - was) > exact_m:
             break
     return crossing
+
+
+@compiled()
+def stands_out(together, length_m, air, dark, begin_m, free, first, bin_m, law):
+    """A cluster is so much higher than the medium before it that it has a closed form, see `cosines._near`.
+
+    `together` : sum of its amplitudes; `length_m` : from first to last; `air` : the medium where it begins; `law` : see
+    `sensing.receiving`.
+    """
+    if not (together < law[4] and begin_m >= law[30]):
+        return False
+    swing = together
+    if length_m > 0.0:
+        swing *= np.cos(0.5 * law[2] * min(length_m, law[1]))
+    apart = returned(max(begin_m - bin_m, law[21]), free, first, bin_m) + dark
+    return swing >= law[29] * air and swing >= apart and law[31] >= apart
+
+
+@compiled()
+def out_of_valley(
+    level, crossing, centre, height, open_, sums, edged, first, bin_m, wave_number, ends,
+    start, size, first_m, begun, total, real, imaginary, half_m, passes,
+):  # fmt: skip
+    """The crossing of one cluster that begins where the medium may be over the level: `Cosines._out_of_valleys`.
+
+    `open_`, `sums` : of the cluster alone; the rest as for `cross_in_air`.
+    """
+    begin_m, before = first_m - half_m, start - 1
+    place, rise, at = begin_m, 0.0, start
+    for _ in range(passes):
+        air = part_under(place, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+        behind = part_under(place + bin_m, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+        fall, at = max((air - behind) / bin_m, 0.0), start
+        while True:
+            swing = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
+            angle = np.arcsin(min(2.0 * fall / (wave_number * swing), 1.0))
+            place = begin_m + (np.arctan2(imaginary[at], real[at]) + angle) / wave_number
+            rise = 0.5 * (total[at] - swing) + swing * np.sin(0.5 * angle) ** 2
+            if at + 1 >= start + size or not begun[at + 1] < rise:
+                break
+            at += 1
+    air = part_under(place, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    above = min(max(air + rise - level, 0.0), 1.0)
+    if not above > 0.0:
+        return crossing
+    single = centre - (half_m - 2.0 / wave_number * np.arcsin(np.sqrt(min(max(level / height, 0.0), 1.0))))
+    return place + above * (single - place)
 
 
 @compiled(

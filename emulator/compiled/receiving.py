@@ -16,7 +16,16 @@ from emulator.compiled.arithmetic import arc_sine_of_root, short_cos_sin
 from emulator.compiled.clusters import cross
 from emulator.compiled.echoes import tall
 from emulator.compiled.jit import FLAGS, FLOATS, INT, INTS, LONG_ROWS, OUT_FLAGS, compiled
-from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, returned, stopped
+from emulator.compiled.media import (
+    MEDIUM,
+    cross_in_air,
+    left_open,
+    lifted_in_air,
+    out_of_valley,
+    returned,
+    stands_out,
+    stopped,
+)  # fmt: skip
 from emulator.compiled.normal import normals, unit
 
 DAZZLED, SATURATED = 1, 2
@@ -149,7 +158,7 @@ def received(
     systematic_m, range_noise_m, doubt_m, sigmas, least_share = law[12], law[13], law[14], law[15], law[16]
     faint, slight, until_m, alone_m, peak_m, own_peak = law[17], law[18], law[19], law[20], law[21], law[22]
     own_m, own_height, exact_m, near_top, passes = law[23], law[24], law[25], law[26], int(law[27])
-    blind_m = law[28]
+    blind_m, valley_passes = law[28], int(law[32])
     n, count, alarms = len(left), len(beam), len(noise_beam)
     ranges, intensity = np.full((n, columns), np.nan), np.full((n, columns), np.nan)
     actor, flags = np.full((n, columns), -1, np.int32), np.zeros(n, np.uint8)
@@ -167,7 +176,7 @@ def received(
     lead = np.full(ECHOES_HELD, fwhm_m - offset_m)
     start_of, level, sum_of, swing, turn, crossing = np.empty((6, 2 * ECHOES_HELD))
     doubted, head_of = np.empty((2, ECHOES_HELD), np.int64)
-    shift_of, in_air = np.empty(ECHOES_HELD), np.empty(ECHOES_HELD, np.bool_)
+    shift_of, over_of, in_air = np.empty(ECHOES_HELD), np.empty(ECHOES_HELD), np.empty(ECHOES_HELD, np.bool_)
     # of beams
     held, first_of, made_of, alarm_of, alarms_of = np.empty((5, ECHOES_HELD), np.int64)
     own_of = np.empty(ECHOES_HELD, np.bool_)
@@ -239,14 +248,15 @@ def received(
             good = True
             for i in range(begin, end):
                 size, j, at = size_of[i], begin_of[i], at_of[i]
-                under[i], turn[i], start_of[i], in_air[i], shift_of[i] = 0.0, 0.0, own_m, False, 0.0
+                under[i], turn[i], start_of[i], in_air[i], shift_of[i], over_of[i] = 0.0, 0.0, own_m, False, 0.0, 0.0
                 centre[i], height[i], sum_of[i], swing[i] = own_m, own_height, own_height, own_height
                 if size == 0:
                     continue
                 start_of[i] = centre[i] = range_m[j]
                 head_of[i] = begin_of[begin]
+                a = amplitude[j]
                 if size == 1:
-                    height[i] = sum_of[i] = swing[i] = amplitude[j]
+                    height[i] = sum_of[i] = swing[i] = a
                 else:
                     a = x = y = 0.0
                     for p in range(size):
@@ -263,21 +273,24 @@ def received(
                 front_m = start_of[i] - half_m
                 if front_m < until_m or front_m < alone_m:
                     below = returned(max(front_m, peak_m), free, first, bin_m)
-                    good = good and front_m >= alone_m and below < faint * threshold and until_m < np.inf
-                    good = good and height[i] > 0.0
+                    good = good and front_m >= alone_m and until_m < np.inf and height[i] > 0.0
+                    if not below < faint * threshold:
+                        length_m = range_m[j + size - 1] - range_m[j]
+                        good = good and stands_out(a, length_m, below, dark_of[i], front_m, free, first, bin_m, law)
+                    over_of[i] = below
                     under[i] = below
                     if good and below > slight * height[i]:
                         under[i], in_air[i] = 0.0, True
                         stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
                         open_ = left_open(blocked, head_of[i], j)
                         centre[i], height[i], shift_of[i] = lifted_in_air(
-                            centre[i], height[i], size, open_, stops, edged, first, bin_m, wave_number, ends
+                            centre[i], height[i], 2.0 * height[i] - a, size, open_, stops, edged, first, bin_m, wave_number, ends
                         )
                 good = good and height[i] > 0.0
             if not good:
                 left[row] = True
                 made_of[one] = 0
-                under[begin:end], in_air[begin:end] = 0.0, False
+                under[begin:end], over_of[begin:end], in_air[begin:end] = 0.0, 0.0, False
             # by height; those under the floor last
             for i in range(begin, end):
                 mine = -height[i] if tall(centre[i], height[i], floor_m2) else 0.0
@@ -318,7 +331,8 @@ def received(
             if crossing[doubted[i]] - crossing[echoes + i] > doubt_m:
                 in_air[doubted[i]] = True
         for i in range(echoes):
-            if not in_air[i]:
+            valley = level[i] < over_of[i]
+            if not (in_air[i] or valley):
                 continue
             j, at, size = begin_of[i], at_of[i], size_of[i]
             if size == 1:
@@ -327,10 +341,16 @@ def received(
             stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
             open_ = left_open(blocked, head_of[i], j)
             place_m, last = cross(level[i], at, size, start_of[i], begun, total, real, imaginary, half_m, wave_number)
-            crossing[i] = cross_in_air(
-                level[i], place_m, last, at - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends,
-                at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
-            )  # fmt: skip
+            if in_air[i]:
+                crossing[i] = cross_in_air(
+                    level[i], place_m, last, at - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends,
+                    at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
+                )  # fmt: skip
+            if valley:
+                crossing[i] = out_of_valley(
+                    level[i], crossing[i], centre[i], height[i], open_, stops, edged, first, bin_m, wave_number, ends,
+                    at, size, start_of[i], begun, total, real, imaginary, half_m, valley_passes,
+                )  # fmt: skip
             if shift_of[i] > 0.0:  # near a maximum, see `Cosines.crossing`
                 before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number
                 if before_m < near_top * shift_of[i]:

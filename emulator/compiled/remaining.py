@@ -27,7 +27,16 @@ from emulator.compiled.jit import (
     compiled,
 )  # fmt: skip
 from emulator.compiled.maxima import medium_at
-from emulator.compiled.media import MEDIUM, cross_in_air, left_open, lifted_in_air, part_under, returned, stopped
+from emulator.compiled.media import (
+    MEDIUM,
+    cross_in_air,
+    left_open,
+    lifted_in_air,
+    out_of_valley,
+    returned,
+    stands_out,
+    stopped,
+)  # fmt: skip
 from emulator.compiled.normal import normals, unit
 from emulator.compiled.receiving import DAZZLED, SATURATED, columns_of, on_line
 
@@ -55,13 +64,10 @@ def _of_beams(wanted, beam, range_m, amplitude, source, blocked):
 
 
 @compiled()
-def _closed(whole, first_m, short, amplitude, free, first, bin_m, law, more):
+def _closed(whole, first_m, short, range_m, amplitude, dark, free, first, bin_m, law):
     """`cosines._near`: takes those of the short clusters out that are sampled. Which begin where a medium shows, and
     its bound under these over the threshold."""
-    half_m, threshold, full_scale, faint, until_m, alone_m, peak_m = (
-        law[1], law[3], law[4], law[17], law[19], law[20], law[21],
-    )  # fmt: skip
-    strong_at, faint_under_strong = more[8], more[9]
+    half_m, threshold, faint, until_m, alone_m, peak_m = law[1], law[3], law[17], law[19], law[20], law[21]
     count = len(short)
     near, share = np.zeros(count, np.bool_), np.zeros(count)
     c = 0
@@ -73,9 +79,12 @@ def _closed(whole, first_m, short, amplitude, free, first, bin_m, law, more):
                 together = 0.0
                 for k in range(whole[1, end], whole[1, end] + whole[2, end]):
                     together += amplitude[k]
-                strong = strong_at * threshold <= together < full_scale
-                near[end], share[end] = True, returned(max(begin_m, peak_m), free, first, bin_m) / threshold
-                kept = short[end] and share[end] < (faint_under_strong if strong else faint) and begin_m >= alone_m
+                air = returned(max(begin_m, peak_m), free, first, bin_m)
+                near[end], share[end] = True, air / threshold
+                kept = short[end] and begin_m >= alone_m
+                if kept and not share[end] < faint:
+                    length_m = range_m[whole[1, end] + whole[2, end] - 1] - first_m[end]
+                    kept = stands_out(together, length_m, air, dark[whole[0, end]], begin_m, free, first, bin_m, law)
                 short[end] = kept
                 hazed = hazed or not kept
             if not short[end]:
@@ -187,8 +196,8 @@ def _cosine_crossings(
     edged, first, bin_m, turning, ends, knots, cubics, cells, cell,
 ):  # fmt: skip
     """`Cosines.crossing`, of those with a medium under them."""
-    half_m, wave_number, threshold, doubt_m, least_share, faint, exact_m, near_top, passes = (
-        law[1], law[2], law[3], law[14], law[16], law[17], law[25], law[26], int(law[27]),
+    half_m, wave_number, threshold, doubt_m, least_share, exact_m, near_top, passes = (
+        law[1], law[2], law[3], law[14], law[16], law[25], law[26], int(law[27]),
     )  # fmt: skip
     begun, total, real, imaginary = running[0], running[1], running[2], running[3]
     head = 0
@@ -204,7 +213,7 @@ def _cosine_crossings(
                 rest = max(level[i] - most, least_share * level[i])
                 place_m, _ = cross(rest, start, size, first_m[i], begun, total, real, imaginary, half_m, wave_number)
                 aired = crossing[i] - place_m > doubt_m
-            valley = share[i] > faint and level[i] < most
+            valley = level[i] < most
             if aired or valley:
                 stopped(sizes[0], sizes[2], start, size, stops, 0, knots, cubics, cells, cell)
                 open_ = left_open(sizes[2], head, start)
@@ -214,13 +223,10 @@ def _cosine_crossings(
                     start, size, first_m[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
                 )  # fmt: skip
             if valley:
-                front_m = first_m[i] - half_m
-                air = part_under(front_m, start, start - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends)
-                above = min(max(air - level[i], 0.0), 1.0)
-                if above > 0.0:
-                    root = np.sqrt(min(max(level[i] / height[i], 0.0), 1.0))
-                    single = centre[i] - (half_m - 2.0 / wave_number * np.arcsin(root))
-                    crossing[i] = front_m + above * (single - front_m)
+                crossing[i] = out_of_valley(
+                    level[i], crossing[i], centre[i], height[i], open_, stops, edged, first, bin_m, wave_number, ends,
+                    start, size, first_m[i], begun, total, real, imaginary, half_m, int(law[32]),
+                )  # fmt: skip
         if shift[i] > 0.0:  # near a maximum, see `Cosines.crossing`
             before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number
             if before_m < near_top * shift[i]:
@@ -307,8 +313,8 @@ def remaining(
     floor_m2, fwhm_m, walk_table, offset_m, peak_m, own_peak = law[6], law[7], law[8], law[9], law[21], law[22]
     sigmas, slight, until_m, own_m, own_height = law[15], law[18], law[19], law[23], law[24]
     shown, high_m, end_m, marks_m, step_m, resolution_m = more[0] > 0.0, more[1], more[2], more[3:5], more[5], more[6]
-    closes, faint, exact_m, steps, straight_m = more[7] > 0.0, more[10], more[11], int(more[12]), more[13]
-    golden, valley_steps, mark = more[14], int(more[15]), more[16]
+    closes, faint, exact_m, steps, straight_m = more[7] > 0.0, more[8], more[9], int(more[10]), more[11]
+    golden, valley_steps, mark = more[12], int(more[13]), more[14]
     n, noisy = len(left), len(chances) > 0
     dark, least, looked, shows = np.empty(n), np.empty(n), np.empty(n), np.zeros(n, np.bool_)
     for b in range(n):
@@ -323,7 +329,7 @@ def remaining(
     whole, first_m, short = split(of, sizes[0], sizes[1], 2.0 * half_m, law[0] if closes else -1.0)
     near_all, share_all = np.zeros(len(short), np.bool_), np.zeros(len(short))
     if hazy_ and closes:
-        near_all, share_all = _closed(whole, first_m, short, sizes[1], free, first, bin_m, law, more)
+        near_all, share_all = _closed(whole, first_m, short, sizes[0], sizes[1], dark, free, first, bin_m, law)
     running, cosines, maximum, rest = sums(sizes[0], sizes[1], tag, whole, short, wave_number)
     centre_c, height_c, begin_c = maximum[0], maximum[1], maximum[2]
     closed = cosines.shape[1]
@@ -346,8 +352,9 @@ def remaining(
                 start, size = cosines[2, i], cosines[3, i]
                 stopped(sizes[0], sizes[2], start, size, stops, 0, knots, cubics, cells, cell)
                 open_ = left_open(sizes[2], head, start)
+                swing = 2.0 * height_c[i] - running[1, start + size - 1]
                 centre_c[i], height_c[i], shift[i] = lifted_in_air(
-                    centre_c[i], height_c[i], size, open_, stops, edged, first, bin_m, wave_number, ends
+                    centre_c[i], height_c[i], swing, size, open_, stops, edged, first, bin_m, wave_number, ends
                 )
         i += 1
     # what is sampled

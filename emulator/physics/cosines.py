@@ -17,7 +17,7 @@ from types import ModuleType
 import numpy as np
 
 from emulator.compiled.pair import by_loops
-from emulator.physics.arrays import Bools, Floats, Ints, clamped, cos_sin, indexes
+from emulator.physics.arrays import Bools, Floats, Ints, Values, clamped, cos_sin, indexes
 from emulator.physics.detector import Detector
 from emulator.physics.softprofile import SoftProfile
 from emulator.physics.subechoes import SubEchoes
@@ -30,16 +30,19 @@ LEAST = 1e-6
 "Share of a level that a medium leaves to the pulses at the least."
 FAINT = 0.1
 "Share of the threshold that a medium may have under a cluster that is crossed in closed form."
-FAINT_UNDER_STRONG = 0.3
-"The same under a strong one: whatever the noise, a valley below the threshold separates it from the medium's echo."
-STRONG = 10.0
-"Thresholds that its pulses, which do not clip, have together: half a turn at the most leaves a half of them."
+TALL = 8.0
+"""Times a medium that a cluster swings by, |C|, which has more than a faint one under it.
+
+It then shifts the cluster's maximum by 0.1 / k: what the parabola of `_lifted` leaves out is 1e-3 of the medium there.
+"""
 EXACT_M = 1e-5
 "Crossings are looked for again, with the medium that is under them, until they move by less than this."
 MOST_PASSES = 60
 "Each leaves the share of the shift that the medium falls by while the pulses rise by as much: a tenth, mostly."
 SLIGHT = 1e-4
 "Share of a cluster's height that a medium may have for its part in the height to be left out."
+VALLEY_PASSES = 2
+"Times that a valley is looked for, with the slope that the medium has where it was found before."
 NEAR_TOP = 3.0
 "Times the shift of a maximum by a medium: what is crossed nearer to the maximum is on a parabola, to 5e-4."
 SHIFT = 0.125
@@ -191,8 +194,8 @@ class Cosines:
     def _out_of_valleys(self, level: Floats, crossing: Floats) -> None:
         """Correct the crossings of clusters that begin where the medium is over their level.
 
-        The valley is where they begin: a strong pulse rises at once. As `timing._out_of_valleys`: a noise unit above,
-        the place is that of a single echo; in between it goes from the one to the other.
+        As `timing._out_of_valleys`: a valley a noise unit above it, the place is that of a single echo; in between it
+        goes from the one to the other.
         """
         if self.valley is None:
             return
@@ -201,11 +204,38 @@ class Cosines:
             return
         at = self.valley.cluster[some]
         air = self.valley.under(self.valley.number[some], at)
-        begin = self.first_m[at] - self.half_m
-        above = clamped(air.at(begin, self.start[at]) - level[at], 0.0, 1.0)
+        begin, bin_m = self.first_m[at] - self.half_m, air.soft.bin_m
+        valley, rise, last = begin, np.zeros(len(at)), self.start[at]
+        for _ in range(VALLEY_PASSES):
+            fall = (air.at(valley, last) - air.at(valley + bin_m, last)) / bin_m
+            valley, rise, last = self._valleys(at, begin, np.maximum(fall, 0.0))
+        height = air.at(valley, last) + rise
+        above = clamped(height - level[at], 0.0, 1.0)
         lead = self.half_m - 2.0 / self.wave_number * np.arcsin(np.sqrt(clamped(level[at] / self.height[at], 0.0, 1.0)))
         single = self.centre_m[at] - lead
-        crossing[at] = np.where(above > 0.0, begin + above * (single - begin), crossing[at])
+        crossing[at] = np.where(above > 0.0, valley + above * (single - valley), crossing[at])
+
+    def _valleys(self, at: Ints, begin: Floats, fall: Floats) -> tuple[Floats, Floats, Ints]:
+        """Valleys before clusters `at`, where their pulses rise as the medium falls: place, height of the pulses alone,
+        and the last sub-echo begun.
+
+        `begin`, `fall` : (h,) where they begin, and how steeply the medium falls.
+        """
+        last, end, k = self.start[at], self.start[at] + self.size[at], self.wave_number
+        place, rise = begin.copy(), np.zeros(len(at))
+        on = np.arange(len(at))
+        while len(on):
+            i = last[on]
+            swing = np.hypot(self.real[i], self.imaginary[i])
+            turn = np.arctan2(self.imaginary[i], self.real[i])
+            # the angle from the trough at which they rise so
+            angle = np.arcsin(np.minimum(2.0 * fall[on] / (k * swing), 1.0))
+            place[on] = begin[on] + (turn + angle) / k
+            rise[on] = 0.5 * (self.total[i] - swing) + swing * np.sin(0.5 * angle) ** 2
+            on = on[i + 1 < end[on]]
+            on = on[self.begun[last[on] + 1] < rise[on]]  # with one more pulse they rise so elsewhere
+            last[on] += 1
+        return place, rise, last
 
     def _doubtful(self, level: Floats, crossing: Floats) -> AirUnder | None:
         """The medium under those clusters whose crossing is elsewhere if all of it is added."""
@@ -270,11 +300,14 @@ _Split = tuple[Ints, Floats, Bools]
 _Summed = tuple[Sequence[Floats], Sequence[Ints], Sequence[Floats], Ints]
 
 
-def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | None = None) -> tuple[Cosines, SubEchoes]:
+def split_cosines(
+    echoes: SubEchoes, detector: Detector, soft: SoftProfile | None = None, rms: Floats | None = None
+) -> tuple[Cosines, SubEchoes]:
     """Short clusters, and the sub-echoes of all others.
 
     `soft`: a medium that shifts the echoes of clusters that begin before its `until_m`. Beams of which sub-echoes are
-    left over, and they alone, need its waveform: in all others its own echo stands free of them.
+    left over, and they alone, need its waveform: in all others its own echo stands free of them. `rms` : (n,) noise of
+    each beam over the nominal one; None: 1.
     """
     pulse, n = detector.pulse, len(echoes)
     if n == 0 or not detector.closed_form or echoes.spread_m is not None:
@@ -286,8 +319,11 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     near, most = None, first
     if soft is not None:
         together = np.add.reduceat(a, start)
-        strong = (together >= STRONG * detector.threshold) & (together < detector.full_scale)
-        near, most = _near(soft, detector.threshold, short, group, first - half, strong)
+        # all angles of C lie between the first and the last
+        swing = together * np.cos(0.5 * k * np.minimum(r[start + size - 1] - first, half))
+        swing[together >= detector.full_scale] = 0.0
+        dark = 1.0 if rms is None else rms[group]
+        near, most = _near(soft, detector.threshold, short, group, first - half, swing, dark)
     if not bool(short.any()):
         return Cosines.none(), echoes
     running, (group, source, *where), (centre, height, first), rest = _summed(echoes, whole, short, k)
@@ -295,7 +331,7 @@ def split_cosines(echoes: SubEchoes, detector: Detector, soft: SoftProfile | Non
     air: _Air = None, None, None, None
     if soft is not None and near is not None:
         number = (short.cumsum() - 1)[near]
-        air = _under(centre, height, where, number, echoes, soft, detector, start[near], size[near], most)
+        air = _under(centre, height, where, number, echoes, soft, detector, start[near], size[near], most, total)
     found = Cosines(
         group, centre, height, source, first, where[0], where[1], begun, total, real, imaginary, half, k, *air
     )  # fmt: skip
@@ -364,22 +400,33 @@ def _strongest(echoes: SubEchoes, start: Ints, size: Ints) -> Ints:
 
 
 def _near(
-    soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats, strong: Bools
+    soft: SoftProfile, threshold: float, short: Bools, beam: Ints, begin_m: Floats, swing: Floats, dark: Values
 ) -> tuple[Ints | None, Floats]:
     """The short clusters that begin where the medium shows, and its bound under each of them over the threshold.
+
+    `swing` : (c,) bound of their |C|, 0 of those that may clip; `dark` : noise of their beams.
+
+    A cluster is crossed in closed form where the medium is faint under it, or where it swings by much more, and by more
+    than the noise: it is higher than |C|, and the medium falls from its maximum on, so that the valley before the
+    cluster is not above what the medium has a sample before it begins. Then the cluster's maximum, and that of the medium by the same rule, stand apart
+    from all others in samples too (`candidates`), whatever the medium is beside the threshold.
 
     A beam with such a cluster that is not short has none that is but behind all that are not: its medium is sampled,
     with all that blocks it. What is more than a pulse behind blocks nothing of what is sampled.
     """
     # its own echo stands alone up to its maximum, and a valley behind it
-    alone_m = soft.peak_m + 2.0 * soft.bin_m if soft.shows else -np.inf
+    behind_m = soft.peak_m + 2.0 * soft.bin_m
+    alone_m, own = (behind_m, soft.peak) if soft.shows else (-np.inf, np.inf)
     near = indexes(begin_m < max(soft.until_m, alone_m))
     if not len(near):
         return None, begin_m
-    # where the medium may come near a level itself, the pulses alone do not show what is crossed first
-    begin = begin_m[near]
-    under = soft.wave(np.maximum(begin, soft.peak_m)) / threshold
-    kept = short[near] & (under < np.where(strong[near], FAINT_UNDER_STRONG, FAINT)) & (begin >= alone_m)
+    begin, swing = begin_m[near], swing[near]
+    # of samples the lowest may be one before it begins
+    air, before = (soft.wave(np.maximum(begin - back, soft.peak_m)) for back in (0.0, soft.bin_m))
+    apart = before + (dark if isinstance(dark, float) else dark[near])
+    tall = (swing >= TALL * air) & (swing >= apart) & (own >= apart) & (begin >= behind_m)
+    under = air / threshold
+    kept = short[near] & ((under < FAINT) | tall) & (begin >= alone_m)
     short[near] = kept
     sampled = beam[near[~kept]]
     if len(sampled):
@@ -396,12 +443,12 @@ def _near(
 
 def _under(
     centre: Floats, height: Floats, where: Sequence[Ints], number: Ints, echoes: SubEchoes, soft: SoftProfile,
-    detector: Detector, start: Ints, size: Ints, share: Floats,
+    detector: Detector, start: Ints, size: Ints, share: Floats, total: Floats,
 ) -> _Air:  # fmt: skip
     """The medium under some short clusters, which adds to their `height`, where it is doubtful, where it may be over a
     level, and (c,) how far it shifts `centre`.
 
-    `centre`, `height`, `where` (start and size) : of all; `number` : of those with a medium among them; `start`,
+    `centre`, `height`, `where` (start and size) : of all; `total` : of all sub-echoes, see `Cosines`; `number` : of those with a medium among them; `start`,
     `size`, `share` : of these, the last its bound over the threshold.
     """
     most = share * detector.threshold
@@ -415,25 +462,25 @@ def _under(
     if len(weak):
         of = number[weak]
         air = computed(weak, of)
-        shift = _lifted(centre, height, of, air, where[0][of] + where[1][of] - 1)
+        last = where[0][of] + where[1][of] - 1
+        shift = _lifted(centre, height, of, air, last, 2.0 * height[of] - total[last])
     if len(slight):
         doubted = AirDoubted(number[slight], most[slight], detector.resolution_m, slight, computed)
-    over = indexes(share > FAINT)
-    valley = AirDoubted(number[over], most[over], detector.resolution_m, over, computed) if len(over) else None
+    every = np.arange(len(number))
+    valley = AirDoubted(number, most, detector.resolution_m, every, computed)
     return air, doubted, valley, shift
 
 
-def _lifted(centre: Floats, height: Floats, of: Ints, air: AirUnder, last: Ints) -> Floats:
+def _lifted(centre: Floats, height: Floats, of: Ints, air: AirUnder, last: Ints, swing: Floats) -> Floats:
     """Maxima of pulses with a medium under them: it ends at the surfaces, so it falls there and shifts them.
 
     The medium is a parabola through three places, the cosine is one at its maximum: what is left out is a share
-    (k shift)^2/12 of the lift. Returns how far, of all clusters.
+    (k shift)^2/12 of the lift. `swing` : |C| of each. Returns how far, of all clusters.
     """
     step = air.soft.bin_m
     before, here, behind = (air.at(centre[of] + side * step, last) for side in (-1.0, 0.0, 1.0))
     slope, curve = 0.5 * (behind - before) / step, (behind - 2.0 * here + before) / (step * step)
-    # of a maximum (1 + cos)/2 of each pulse; pulses apart bend a little less
-    bend = 0.5 * air.soft.pulse.wave_number**2 * height[of] - curve
+    bend = 0.5 * air.soft.pulse.wave_number**2 * swing - curve
     shift = np.where(bend > 0.0, slope / np.maximum(bend, 1e-300), 0.0)
     shift = np.where(np.abs(shift) <= step, shift, 0.0)
     centre[of] += shift

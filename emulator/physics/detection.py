@@ -132,7 +132,7 @@ def signals_of(
         shows = np.zeros(beams, np.bool_) if soft is None or not soft.shows else soft.peak >= least
         marked = shows
         if not detector.sampled and detector.closed_form and (soft is None or soft.peak < detector.full_scale):
-            cosines, echoes = split_cosines(echoes, detector, soft)
+            cosines, echoes = split_cosines(echoes, detector, soft, rms)
             left = np.zeros(beams, np.bool_)
             left[echoes.beam] = True
             marked = shows & left

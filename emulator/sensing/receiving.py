@@ -19,14 +19,14 @@ from emulator.physics.constants import SPEED_OF_LIGHT_M_S
 from emulator.physics.cosines import (
     EXACT_M,
     FAINT,
-    FAINT_UNDER_STRONG,
     LEAST,
     MOST_PASSES,
     NEAR_TOP,
     SHIFT,
     SHORT,
     SLIGHT,
-    STRONG,
+    TALL,
+    VALLEY_PASSES,
 )  # fmt: skip
 from emulator.physics.detection import SIGMAS
 from emulator.physics.detector import Detector
@@ -72,14 +72,15 @@ def _readings_by_loops(
         return OTHERWISE
     until_m = alone_m = -np.inf
     own_m = own = peak_m = 0.0
-    peak, closes = -np.inf, True
+    peak, stands, behind_m, closes = -np.inf, np.inf, -np.inf, True
     free, medium, rise = NO_TABLE, NO_MEDIUM, (NO_TABLE, NO_TABLE)
     hazy = [0.0, -np.inf, 0.0, 0.0, 0.0]
     if soft is not None:
-        closes = soft.peak < detector.full_scale
+        closes, behind_m = soft.peak < detector.full_scale, soft.peak_m + 2.0 * soft.bin_m
         free, medium, until_m, peak_m = soft.free, soft.flat, soft.until_m, soft.peak_m
         if soft.shows:
-            alone_m, peak, (own_m, own), rise = peak_m + 2.0 * soft.bin_m, soft.peak, soft.top, soft.rise
+            alone_m, peak, (own_m, own), rise = behind_m, soft.peak, soft.top, soft.rise
+            stands = peak
         hazy = [float(soft.shows), soft.high_m, soft.end_m, min(soft.start_m, peak_m), peak_m]
     found = look()
     law = np.array([
@@ -88,6 +89,7 @@ def _readings_by_loops(
         detector.near_gate_m, detector.far_gate_m, systematic_m, noise_m, SHIFT * detector.resolution_m,
         0.0 if normals is None else SIGMAS, LEAST, FAINT, SLIGHT, until_m, alone_m, peak_m, peak, own_m, own, EXACT_M,
         NEAR_TOP, MOST_PASSES, 0.5 * SPEED_OF_LIGHT_M_S * detector.recovery_s,
+        TALL, behind_m, stands, VALLEY_PASSES,
     ])  # fmt: skip
     given = (
         NO_FLAGS if dazzled is None else dazzled, np.ones(1) if rms is None else rms,
@@ -101,8 +103,8 @@ def _readings_by_loops(
     )
     if bool(left.any()):
         more = np.array([
-            *hazy, detector.bin_m, detector.resolution_m, closes, STRONG, FAINT_UNDER_STRONG, candidates.FAINT,
-            timing.EXACT_M, timing.MOST_STEPS, STRAIGHT_M, timing.GOLDEN, timing.VALLEY_STEPS, MARK,
+            *hazy, detector.bin_m, detector.resolution_m, closes, candidates.FAINT, timing.EXACT_M,
+            timing.MOST_STEPS, STRAIGHT_M, timing.GOLDEN, timing.VALLEY_STEPS, MARK,
         ])  # fmt: skip
         loops.remaining(
             found.beam, found.range_m, found.amplitude, found.source, found.blocked, left, *given, more, CLOSER,
