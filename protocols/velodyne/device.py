@@ -195,7 +195,7 @@ class VelodyneDevice(PacketSession[Slice]):
         sweep = Sweep(
             azimuth.ravel(),
             elevation.ravel(),
-            1e-9 * offset_ns[sees].ravel(),
+            np.multiply(1e-9, offset_ns[sees].ravel(), dtype=np.float64),
             1e-9 * length_ns,
             max_range_m=0xFFFF * model.unit_mm / 1000.0,
             max_echoes=MOST_ECHOES,
