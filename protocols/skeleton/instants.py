@@ -129,7 +129,14 @@ class Timers:
 
     def next_ns(self) -> int | None:
         """When the next one is due."""
-        return earliest((*(timer.due_ns for timer in self._timers), *(alarm.at_ns for alarm in self._alarms)))
+        first: int | None = None
+        for timer in self._timers:  # asked several times for each packet: no tuple, no generator
+            if first is None or timer.due_ns < first:
+                first = timer.due_ns
+        for alarm in self._alarms:
+            if alarm.at_ns is not None and (first is None or alarm.at_ns < first):
+                first = alarm.at_ns
+        return first
 
     def run(self, now_ns: int) -> None:
         """Execute what is due, in order; a timer that is more than `FAR_BEHIND` periods late is executed once."""

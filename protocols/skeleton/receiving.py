@@ -195,7 +195,7 @@ class Connections(Generic[Kept]):
 
     def values(self) -> Iterable[Kept]:
         """The states of all connections."""
-        return list(self._kept.values())
+        return list(self._kept.values()) if self._kept else ()
 
     def kind(self, address: Address | None) -> LinkKind | None:
         """Kind of the link of an address; None: unknown."""
@@ -226,7 +226,7 @@ class Connections(Generic[Kept]):
 
     def deadline(self) -> int | None:
         """When the first inter-byte time-out ends."""
-        return earliest(one.deadline() for one in self._kept.values())
+        return earliest(one.deadline() for one in self._kept.values()) if self._kept else None
 
     def _key(self, address: Address | None) -> tuple[int, int]:
         if address is None:

@@ -165,7 +165,8 @@ class RequestSession(SweepSession):
         super()._boot(now_ns)
 
     def _next_instant(self) -> int | None:
-        return earliest((super()._next_instant(), self._connections.deadline() if self._running else None))
+        own_ns = super()._next_instant()
+        return earliest((own_ns, self._connections.deadline())) if self._running and len(self._connections) else own_ns
 
     def _happen(self, now_ns: int) -> None:
         if (due_ns := super()._next_instant()) is not None and due_ns <= now_ns:

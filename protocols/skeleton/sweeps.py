@@ -164,7 +164,8 @@ class SweepSession(TimedSession):
     def _next_instant(self) -> int | None:
         if not self._running:
             return self._ready_ns
-        return earliest((self._timers.next_ns(), self._restart_ns))
+        timers_ns = self._timers.next_ns()
+        return timers_ns if self._restart_ns is None else earliest((timers_ns, self._restart_ns))
 
     def _happen(self, now_ns: int) -> None:
         if not self._running:

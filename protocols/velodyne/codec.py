@@ -126,7 +126,8 @@ def _best(range_m: Floats, strength: Floats | None, without: Words | None) -> Wo
     none = np.isnan(range_m)
     if without is not None:
         none |= without[:, None] == echoes
-    return np.where(none, -1.0, value).argmax(axis=1)
+    found: Words = np.where(none, -1.0, value).argmax(axis=1)
+    return found
 
 
 def distances(range_m: Floats, unit_mm: int) -> Words:

@@ -106,8 +106,8 @@ class VelodyneDevice(PacketSession[Slice]):
             self._timers.add(now_ns, POSITION_NS, self._tell_position)
 
     def _next_instant(self) -> int | None:
-        own = (self._renew_ns, self._dark_ns) if self._running else ()
-        return earliest((super()._next_instant(), *own))
+        other_ns = super()._next_instant()
+        return earliest((other_ns, self._renew_ns, self._dark_ns)) if self._running else other_ns
 
     def _happen(self, now_ns: int) -> None:
         if self._running and self._renew_ns is not None and self._renew_ns <= now_ns:
@@ -195,7 +195,7 @@ class VelodyneDevice(PacketSession[Slice]):
         sweep = Sweep(
             azimuth.ravel(),
             elevation.ravel(),
-            1e-9 * offset_ns[sees].ravel(),
+            np.multiply(1e-9, offset_ns[sees].ravel(), dtype=np.float64),
             1e-9 * length_ns,
             max_range_m=0xFFFF * model.unit_mm / 1000.0,
             max_echoes=MOST_ECHOES,

@@ -81,7 +81,7 @@ class Model:
 
 @lru_cache(maxsize=64)
 def _fired_ns(length_ns: int, cycle_ns: int, laser_ns: tuple[int, ...]) -> NDArray[np.int64]:
-    found = np.arange(0, length_ns, cycle_ns)[:, None] + np.asarray(laser_ns)
+    found: NDArray[np.int64] = np.arange(0, length_ns, cycle_ns)[:, None] + np.asarray(laser_ns)
     found.flags.writeable = False
     return found
 

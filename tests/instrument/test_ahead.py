@@ -10,6 +10,7 @@ import pytest
 
 from emulator.instrument.ahead import MEASURED, MOST_EARLY, NAMES, Ahead, Several, same_sweep
 from emulator.instrument.instrument import LOOK_AHEAD_NS, Instrument
+from emulator.live.tracks import NOTHING, World
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
 from emulator.scenario.weather import WeatherConfig
 from protocols.scan import Scan, ScanPlan
@@ -190,3 +191,36 @@ def test_ahead_begins_nothing_that_does_not_go_forward() -> None:
     ahead = Ahead("front", pool)
     assert ahead.begin(session, plan(0, 0, 0), 0, lambda one: 0, lambda one: NORMAL, True) is None
     assert pool.early == []
+
+
+class Feed:
+    """Moves the world; knows its future, or does not."""
+
+    knows = False
+
+    def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
+        return earliest_ns if self.knows else earliest_ns + 1
+
+    def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
+        return NOTHING
+
+    def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None: ...
+
+
+class Busy(Pool):
+    """One process: a further sweep would wait behind the one in its hands."""
+
+    def spare(self, sensor: str, behind: bool = True) -> int:
+        return super().spare(sensor) if behind or not self.asked else 0
+
+
+@pytest.mark.parametrize("knows", [False, True])
+def test_what_is_asked_for_as_late_as_possible_waits_for_a_process_and_behind_no_sweep(knows: bool) -> None:
+    pool, session, feed = Busy(), Foreseeing(), Feed()
+    instrument = Instrument("front", session, [ListLink(LinkKind.SERIAL)], pool)
+    instrument.feed, feed.knows = feed, knows
+    instrument.power_on(0)
+    session.on = True
+    instrument.step(1)
+    assert [one.sweep for one in pool.asked] == [0]
+    assert [one.sweep for one, _ in pool.early] == ([1, 2] if knows else []), "newer poses may come while it waits"
