@@ -1,7 +1,9 @@
 """Drops and flakes of the world that stand in the beams of a sweep.
 
-Belongs here: what `world_particles.in_beams` does with arrays: boxes about buckets of beams, their cells and particles,
-the beams that these are in. Not: the law of the particles (physics.particle_light).
+Belongs here: what `world_particles.in_beams` does with arrays: a tree of neighbouring beams, boxes about its parts,
+their cells and particles, the beams that these are in. Not: the law of the particles (physics.particle_light).
+
+A cell is made once for all beams of a part, wherever in it they are: layers that lie close together share it.
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -18,6 +20,18 @@ _X, _Y, _Z = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xC2B2AE3D27D4EB4F), np.ui
 _M1, _M2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _30, _27, _31, _11, _21, _42 = (np.uint64(k) for k in (30, 27, 31, 11, 21, 42))
 _MASK, _TWO = np.uint64(2**21 - 1), np.uint64(2)
+OF_A_LEAF = 8
+"Beams of a leaf of the tree at the most, if their directions are not the same."
+RUN = 64
+"Beams of a run by which two orders are compared."
+FAST_M_S = 8.0
+"Velocity at which beams of other instants count as beside each other in the order of the tree."
+BLOCK = 64
+"Steps of the table of least sizes that are looked up at once."
+DEEPEST = 8 * 12
+"Nodes that wait to be looked at: fewer than eight of each digit."
+WIDE = 1.01
+"Margin of places by which nodes are passed over."
 
 
 @compiled()
@@ -35,238 +49,175 @@ def unit(word):
 
 
 @compiled()
-def beside_beam(px, py, pz, origin, axis, i):
-    """Square of the distance of a place from a beam's line."""
-    tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
-    r = tx * axis[i, 0] + ty * axis[i, 1] + tz * axis[i, 2]
-    return tx * tx + ty * ty + tz * tz - r * r
+def spread(number):
+    """The lowest ten bits, each with two zeros before it."""
+    number = (number | (number << 16)) & 0x030000FF
+    number = (number | (number << 8)) & 0x0300F00F
+    number = (number | (number << 4)) & 0x030C30C3
+    return (number | (number << 2)) & 0x09249249
 
 
 @compiled()
-def first_near(px, py, pz, origin, axis, first, last, moved, turned, lever, beyond):
-    """First beam whose line comes nearer to a place than `beyond`; one more than the last: none.
+def by_direction(axis):
+    """Numbers along a Morton curve of the beams' directions (n,), and the order in which they rise."""
+    n, widest = len(axis), 1e-9
+    low = np.zeros(3)
+    for k in range(3):
+        least = most = axis[0, k]
+        for i in range(1, n):
+            least, most = min(least, axis[i, k]), max(most, axis[i, k])
+        low[k], widest = least, max(widest, most - least)
+    scale = 1023.0 / widest
+    key, order, other = np.empty(n, np.int64), np.arange(n), np.empty(n, np.int64)
+    for i in range(n):
+        key[i] = (
+            spread(int((axis[i, 0] - low[0]) * scale))
+            | (spread(int((axis[i, 1] - low[1]) * scale)) << 1)
+            | (spread(int((axis[i, 2] - low[2]) * scale)) << 2)
+        )
+    begin = np.empty(1025, np.int64)
+    for shift in (0, 10, 20):
+        begin[:] = 0
+        for i in range(n):
+            begin[((key[i] >> shift) & 1023) + 1] += 1
+        for k in range(1024):
+            begin[k + 1] += begin[k]
+        for place in range(n):
+            digit = (key[order[place]] >> shift) & 1023
+            other[begin[digit]] = order[place]
+            begin[digit] += 1
+        order, other = other, order
+    return key, order
 
-    From beam to beam the distance from a foot not beyond `lever` changes by no more than the way from the one to the
-    other there: as many are passed over as cannot make up for it.
+
+@compiled()
+def branches(key, order):
+    """A tree of beams whose numbers have the same first digits (nodes, 4): its first beam in `order`, one more than
+    its last, its first node and one more than its last; no nodes: a leaf. Nodes stand before those in them.
     """
-    i = first
-    while i <= last:
-        square = beside_beam(px, py, pz, origin, axis, i)
-        if square <= beyond * beyond:
-            return i
-        goal = moved[i] + lever * turned[i] + math.sqrt(square) - beyond
-        low, high = i + 1, last + 1
-        while low < high:
-            at = (low + high) // 2
-            if moved[at] + lever * turned[at] < goal:
-                low = at + 1
-            else:
-                high = at
-        i = low
-    return i
+    n = len(order)
+    nodes, shift = np.empty((2 * n + 1, 4), np.int64), np.empty(2 * n + 1, np.int64)
+    nodes[0, 0], nodes[0, 1], shift[0], count, node = 0, n, 27, 1, 0
+    while node < count:
+        first, end, bits = nodes[node, 0], nodes[node, 1], shift[node]
+        nodes[node, 2] = nodes[node, 3] = count
+        if end - first > OF_A_LEAF:
+            while bits >= 0 and key[order[first]] >> bits == key[order[end - 1]] >> bits:
+                bits -= 3
+            if bits >= 0:
+                begin = first
+                for place in range(first + 1, end + 1):
+                    if place == end or key[order[place]] >> bits != key[order[begin]] >> bits:
+                        nodes[count, 0], nodes[count, 1], shift[count] = begin, place, bits - 3
+                        begin, count = place, count + 1
+                nodes[node, 3] = count
+        node += 1
+    return nodes[:count].copy()
 
 
 @compiled()
-def last_near(px, py, pz, origin, axis, first, last, moved, turned, lever, beyond):
-    """The last of them, from the last on back to the first, which is one."""
-    i = last
-    while i > first:
-        square = beside_beam(px, py, pz, origin, axis, i)
-        if square <= beyond * beyond:
-            return i
-        goal = moved[i] + lever * turned[i] - math.sqrt(square) + beyond
-        low, high = first - 1, i - 1
-        while low < high:
-            at = (low + high + 1) // 2
-            if moved[at] + lever * turned[at] > goal:
-                high = at - 1
-            else:
-                low = at
-        i = low
-    return first
+def bounds(nodes, order, centre, t_s, axis, until_m):
+    """Of the beams of each node: least and largest centre, instant and direction (2, nodes, 7), farthest surface."""
+    low, high, until = np.empty((len(nodes), 7)), np.empty((len(nodes), 7)), np.empty(len(nodes))
+    for node in range(len(nodes) - 1, -1, -1):
+        low[node], high[node], until[node] = math.inf, -math.inf, -math.inf
+        first, end = nodes[node, 2], nodes[node, 3]
+        for child in range(first, end):
+            for k in range(7):
+                low[node, k], high[node, k] = min(low[node, k], low[child, k]), max(high[node, k], high[child, k])
+            until[node] = max(until[node], until[child])
+        for place in range(nodes[node, 0], nodes[node, 1] if first == end else nodes[node, 0]):
+            i = order[place]
+            for k in range(3):
+                low[node, k], high[node, k] = min(low[node, k], centre[i, k]), max(high[node, k], centre[i, k])
+                low[node, 4 + k] = min(low[node, 4 + k], axis[i, k])
+                high[node, 4 + k] = max(high[node, 4 + k], axis[i, k])
+            low[node, 3], high[node, 3] = min(low[node, 3], t_s[i]), max(high[node, 3], t_s[i])
+            until[node] = max(until[node], until_m[i])
+    return low, high, until
 
 
 @compiled()
-def bulge(origin, axis, f, g):
-    """How far beams from f to g are beside the face between these two: at their begins, and more by their ranges."""
-    aside = bend = 0.0
-    ax, ay, az = axis[f, 0], axis[f, 1], axis[f, 2]
-    ex, ey, ez = axis[g, 0] - ax, axis[g, 1] - ay, axis[g, 2] - az
-    ox, oy, oz = origin[f, 0], origin[f, 1], origin[f, 2]
-    sx, sy, sz = origin[g, 0] - ox, origin[g, 1] - oy, origin[g, 2] - oz
-    square = max(ex * ex + ey * ey + ez * ez, 1e-300)
-    for i in range(f + 1, g):
-        x, y, z = axis[i, 0] - ax, axis[i, 1] - ay, axis[i, 2] - az
-        part = min(max((x * ex + y * ey + z * ez) / square, 0.0), 1.0)
-        x, y, z = x - part * ex, y - part * ey, z - part * ez
-        bend = max(bend, x * x + y * y + z * z)
-        x, y, z = origin[i, 0] - ox - part * sx, origin[i, 1] - oy - part * sy, origin[i, 2] - oz - part * sz
-        aside = max(aside, x * x + y * y + z * z)
-    return math.sqrt(aside), math.sqrt(bend)
-
-
-@compiled()
-def row(px, py, low_y, high_y):
-    """Least and largest x of the hull of four points between two y; the least is larger where nothing is there."""
-    low, high = math.inf, -math.inf
-    for i in range(3):
-        for j in range(i + 1, 4):
-            ax, ay, bx, by = px[i], py[i], px[j], py[j]
-            if ay > by:
-                ax, ay, bx, by = bx, by, ax, ay
-            if by < low_y or ay > high_y:
-                continue
-            slope = (bx - ax) / max(by - ay, 1e-300)
-            begin = ax if ay >= low_y else ax + slope * (low_y - ay)
-            end = bx if by <= high_y else ax + slope * (high_y - ay)
-            low, high = min(low, begin, end), max(high, begin, end)
-    return low, high
-
-
-@compiled()
-def in_box(
-    box, f, g, near_m, far_m, reach_m, shift, aside, bend, key_word, poisson, low_mm, slope_mm, lost, largest_mm,
-    cell_m, origin, axis, across, until_m, moved, turned, tan_x, tan_y, exit_m, gaussian, least_mm, least_from,
-    least_step, total, out_beam, out_range, out_size,
-):  # fmt: skip
-    """Particles of one class in a box of cells about beams from f to g between two ranges; how many there are then."""
-    room, zero = len(out_beam), np.uint64(0)
-    low_x, low_y, low_z, high_x, high_y, high_z = box
-    cx, cy, cz = cell_m
-    m = (f + g) // 2
-    k0 = min(max(int((near_m - least_from) / least_step), 0), len(least_mm) - 1)
-    k1 = min(max(int((far_m - least_from) / least_step), 0), len(least_mm) - 1)
-    least_here = least_mm[k0]
-    for k in range(k0, k1 + 1):
-        least_here = min(least_here, least_mm[k])
-    too_small = 0.0  # uniform numbers below give smaller ones
-    if slope_mm > 0.0 and least_here > low_mm:
-        too_small = -math.expm1(-slope_mm * (least_here - low_mm)) / lost * (1.0 - 1e-12)
-        if too_small >= 1.0:
-            return total
-    corner_x = corners(0, origin, axis, f, g, near_m, far_m)
-    corner_y = corners(1, origin, axis, f, g, near_m, far_m)
-    corner_z = corners(2, origin, axis, f, g, near_m, far_m)
-    beyond = 1.01 * reach_m
-    beside = 1.01 * (reach_m + aside + far_m * bend)
-    for iz in range(low_z, high_z):
-        # what of the fan is as high as these cells
-        below, above = iz * cz - beside, (iz + 1) * cz + beside
-        fan_low, fan_high = row(corner_x, corner_z, below, above)
-        if fan_low > fan_high:
-            continue
-        deep_low, deep_high = row(corner_y, corner_z, below, above)
-        iy_low = max(low_y, math.floor((deep_low - beside) / cy))
-        iy_high = min(high_y, math.floor((deep_high + beside) / cy) + 1)
-        for iy in range(iy_low, iy_high):
-            row_low, row_high = row(corner_x, corner_y, iy * cy - beside, (iy + 1) * cy + beside)
-            if row_low > row_high:
-                continue
-            row_low, row_high = max(row_low, fan_low), min(row_high, fan_high)
-            ix_low = max(low_x, math.floor((row_low - beside) / cx))
-            ix_high = min(high_x, math.floor((row_high + beside) / cx) + 1)
-            for ix in range(ix_low, ix_high):
-                word = mixed((np.uint64(ix) * _X) ^ key_word)
-                word = mixed(word + np.uint64(iy) * _Y)
-                word = mixed(word + np.uint64(iz) * _Z)
-                chance = unit(mixed(word + _STEP))
-                number = 0
-                while number < len(poisson) and poisson[number] <= chance:
-                    number += 1
-                turn = zero
-                for _ in range(number):
-                    turn += _TWO
-                    own = mixed(word + turn * _STEP)
-                    uniform = unit(mixed(own + _STEP))
-                    if uniform < too_small:
-                        continue
-                    px = (ix + (np.float64(own & _MASK) + 0.5) * 2.0**-21) * cx
-                    py = (iy + (np.float64((own >> _21) & _MASK) + 0.5) * 2.0**-21) * cy
-                    pz = (iz + (np.float64((own >> _42) & _MASK) + 0.5) * 2.0**-21) * cz
-                    bx, by, bz = px - origin[m, 0], py - origin[m, 1], pz - origin[m, 2]
-                    r = math.sqrt(bx * bx + by * by + bz * bz)
-                    bx, by, bz = (
-                        origin[f, 0] + r * axis[f, 0],
-                        origin[f, 1] + r * axis[f, 1],
-                        origin[f, 2] + r * axis[f, 2],
-                    )
-                    ex, ey, ez = (
-                        origin[g, 0] + r * axis[g, 0] - bx,
-                        origin[g, 1] + r * axis[g, 1] - by,
-                        origin[g, 2] + r * axis[g, 2] - bz,
-                    )
-                    square = ex * ex + ey * ey + ez * ez
-                    part = ((px - bx) * ex + (py - by) * ey + (pz - bz) * ez) / max(square, 1e-300)
-                    part = min(max(part, 0.0), 1.0)
-                    ox, oy, oz = px - bx - part * ex, py - by - part * ey, pz - bz - part * ez
-                    off = ox * ox + oy * oy + oz * oz
-                    # a beam that it is in may have its foot as much farther or nearer as beams begin apart
-                    slack = beside + 1.01 * (shift + reach_m)
-                    if off > slack * slack:
-                        continue
-                    d = largest_mm
-                    if slope_mm > 0.0:
-                        d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
-                    # beams that it is in have their feet so far from here at the most
-                    foot = shift + reach_m
-                    k0 = min(max(int((max(r - foot, near_m) - least_from) / least_step), 0), len(least_mm) - 1)
-                    k1 = min(max(int((min(r + foot, far_m) - least_from) / least_step), 0), len(least_mm) - 1)
-                    bright = False
-                    for k in range(k0, k1 + 1):
-                        if d >= least_mm[k]:
-                            bright = True
-                            break
-                    if not bright:
-                        continue
-                    lever = min(far_m, r + shift)
-                    i = first_near(px, py, pz, origin, axis, f, g, moved, turned, lever, beyond)
-                    if i > g:
-                        continue
-                    until = last_near(px, py, pz, origin, axis, i, g, moved, turned, lever, beyond)
-                    while i <= until:
-                        tx, ty, tz = px - origin[i, 0], py - origin[i, 1], pz - origin[i, 2]
-                        ax, ay, az = axis[i, 0], axis[i, 1], axis[i, 2]
-                        r = tx * ax + ty * ay + tz * az
-                        i += 1
-                        if not (near_m <= r < far_m and r < until_m[i - 1]):
-                            continue
-                        tx, ty, tz = tx - r * ax, ty - r * ay, tz - r * az
-                        wide = tan_x * r + exit_m
-                        if len(across) == 0:
-                            square = (tx * tx + ty * ty + tz * tz) / max(wide * wide, 1e-300)
-                        else:
-                            sx, sy, sz = across[i - 1, 0], across[i - 1, 1], across[i - 1, 2]
-                            u = (tx * sx + ty * sy + tz * sz) / max(wide, 1e-150)
-                            v = (tx * (ay * sz - az * sy) + ty * (az * sx - ax * sz) + tz * (ax * sy - ay * sx)) / max(
-                                tan_y * r + exit_m, 1e-150
-                            )
-                            square = u * u + v * v
-                        s = d * math.exp(-min(square, 500.0))
-                        if not gaussian:
-                            s = d if square < 1.0 else 0.0
-                        if s < least_mm[min(max(int((r - least_from) / least_step), 0), len(least_mm) - 1)]:
-                            continue
-                        if total < room:
-                            out_beam[total], out_range[total], out_size[total] = i - 1, r, s
-                        total += 1
+def apart(order, centre, t_s, axis, range_m):
+    """Sum of the widths of runs of beams in this order, at a range."""
+    low, high, total = np.empty(7), np.empty(7), 0.0
+    for begin in range(0, len(order), RUN):
+        low[:], high[:] = math.inf, -math.inf
+        for place in range(begin, min(begin + RUN, len(order))):
+            i = order[place]
+            for k in range(3):
+                low[k], high[k] = min(low[k], centre[i, k]), max(high[k], centre[i, k])
+                low[4 + k], high[4 + k] = min(low[4 + k], axis[i, k]), max(high[4 + k], axis[i, k])
+            low[3], high[3] = min(low[3], t_s[i]), max(high[3], t_s[i])
+        for k in range(7):
+            total += (1.0 if k < 3 else FAST_M_S if k == 3 else range_m) * (high[k] - low[k])
     return total
 
 
 @compiled()
-def corners(k, origin, axis, f, g, near_m, far_m):
-    """A coordinate of the four corners of the face between beams f and g and two ranges."""
-    return (
-        origin[f, k] + near_m * axis[f, k], origin[g, k] + near_m * axis[g, k],
-        origin[f, k] + far_m * axis[f, k], origin[g, k] + far_m * axis[g, k],
-    )  # fmt: skip
+def tree(centre, t_s, axis, until_m, range_m):
+    """Order of the beams, tree and bounds: by their directions, or as they come where neighbours lie closer so."""
+    key, order = by_direction(axis)
+    same = np.arange(len(axis))
+    if apart(same, centre, t_s, axis, range_m) < apart(order, centre, t_s, axis, range_m):
+        key, order = same, same
+    nodes = branches(key, order)
+    low, high, until = bounds(nodes, order, centre, t_s, axis, until_m)
+    return order, nodes, low, high, until
 
 
 @compiled()
-def cells_about(k, low_o, high_o, low_d, high_d, near_m, far_m, wide, cell):
-    """First cell, and one more than the last, in one direction, about beams within these limits."""
-    low = low_o[k] + min(near_m * low_d[k], far_m * low_d[k]) - wide
-    high = high_o[k] + max(near_m * high_d[k], far_m * high_d[k]) + wide
-    return math.floor(low / cell), math.floor(high / cell) + 1
+def packed(order, centre, t_s, axis, until_m):
+    """Beams in this order (n, 8): centre, instant, direction, first surface: what is read together lies together."""
+    rows = np.empty((len(order), 8))
+    for place in range(len(order)):
+        i = order[place]
+        for k in range(3):
+            rows[place, k], rows[place, 4 + k] = centre[i, k], axis[i, k]
+        rows[place, 3], rows[place, 7] = t_s[i], until_m[i]
+    return rows
+
+
+@compiled()
+def of_class(velocity, low, high, cone):
+    """Nodes as lines in the frame of a class (nodes, 9): middle of origins (3), unit vector (3), its length before, and
+    how far beams are off at their begins and more by their ranges.
+    """
+    vx, vy, vz = velocity
+    for node in range(len(cone)):
+        t, late = 0.5 * (low[node, 3] + high[node, 3]), 0.5 * (high[node, 3] - low[node, 3])
+        wx, wy, wz = late * abs(vx), late * abs(vy), late * abs(vz)
+        wx, wy = wx + 0.5 * (high[node, 0] - low[node, 0]), wy + 0.5 * (high[node, 1] - low[node, 1])
+        wz += 0.5 * (high[node, 2] - low[node, 2])
+        cone[node, 0] = 0.5 * (low[node, 0] + high[node, 0]) - t * vx
+        cone[node, 1] = 0.5 * (low[node, 1] + high[node, 1]) - t * vy
+        cone[node, 2] = 0.5 * (low[node, 2] + high[node, 2]) - t * vz
+        cone[node, 7] = math.sqrt(wx * wx + wy * wy + wz * wz)
+
+
+@compiled()
+def directions(low, high, cone):
+    """The same of all classes."""
+    for node in range(len(cone)):
+        turns = length = 0.0
+        for k in range(3):
+            turn = 0.5 * (high[node, 4 + k] - low[node, 4 + k])
+            cone[node, 3 + k] = 0.5 * (low[node, 4 + k] + high[node, 4 + k])
+            turns, length = turns + turn * turn, length + cone[node, 3 + k] ** 2
+        length = math.sqrt(length)
+        for k in range(3):
+            cone[node, 3 + k] /= max(length, 1e-300)
+        cone[node, 6], cone[node, 8] = length, math.sqrt(turns)
+
+
+@compiled()
+def cells_about(k, node, low, high, velocity, near_m, far_m, wide, cell):
+    """First cell, and one more than the last, in one direction, about beams of a node between two ranges."""
+    moved, other = low[node, 3] * velocity, high[node, 3] * velocity
+    least, most = low[node, k] - max(moved, other), high[node, k] - min(moved, other)
+    least += min(near_m * low[node, 4 + k], far_m * low[node, 4 + k]) - wide
+    most += max(near_m * high[node, 4 + k], far_m * high[node, 4 + k]) + wide
+    return math.floor(least / cell), math.floor(most / cell) + 1
 
 
 @compiled()
@@ -287,45 +238,174 @@ def between(place, x, y):
 
 
 @compiled()
-def ways(rows, out):
-    """Running sums of the ways from row to row."""
-    for i in range(1, len(rows)):
-        x, y, z = rows[i, 0] - rows[i - 1, 0], rows[i, 1] - rows[i - 1, 1], rows[i, 2] - rows[i - 1, 2]
-        out[i] = out[i - 1] + math.sqrt(x * x + y * y + z * z)
+def least_between(near_m, far_m, least_from, block_m, least):
+    """The least of a table in blocks of range."""
+    k0 = min(max(int((near_m - least_from) / block_m), 0), len(least) - 1)
+    k1 = min(max(int((far_m - least_from) / block_m), 0), len(least) - 1)
+    found = least[k0]
+    for k in range(k0 + 1, k1 + 1):
+        found = min(found, least[k])
+    return found
+
+
+@compiled()
+def in_box(
+    box, part, nodes, order, cone, until, near_m, far_m, reach_m, law, velocity, key_word, poisson, cell_m,
+    beams, across, shape, least_mm, least_from, least_step, needed, stack, total, out_beam,
+    out_range, out_size,
+):  # fmt: skip
+    """Particles of one class in a box of cells about the beams of a node between two ranges; how many there are then.
+
+    `law` : least size, slope, share, largest size; `shape` : of a beam, see `falling`; `needed` : uniform numbers that
+    a particle must have to be large enough, in blocks of range.
+    """
+    room, zero, block_m = len(out_beam), np.uint64(0), BLOCK * least_step
+    low_mm, slope_mm, lost, largest_mm = law
+    tan_x, tan_y, exit_m, gaussian = shape
+    low_x, low_y, low_z, high_x, high_y, high_z = box
+    cx, cy, cz = cell_m
+    vx, vy, vz = velocity
+    too_small = least_between(near_m, far_m, least_from, block_m, needed)
+    if too_small >= 1.0:
+        return total
+    beyond = WIDE * reach_m
+    mx, my, mz, ux, uy, uz = cone[part, 0], cone[part, 1], cone[part, 2], cone[part, 3], cone[part, 4], cone[part, 5]
+    begin_off = cone[part, 7]
+    # cells whose middles are no nearer hold nothing of these beams
+    room_off = beyond + begin_off + far_m * cone[part, 8] + 0.5 * WIDE * math.sqrt(cx * cx + cy * cy + cz * cz)
+    short, long_ = near_m * cone[part, 6] - room_off, far_m * cone[part, 6] + room_off
+    for ix in range(low_x, high_x):
+        word_x = mixed((np.uint64(ix) * _X) ^ key_word)
+        to_x = (ix + 0.5) * cx - mx
+        for iy in range(low_y, high_y):
+            word_y = mixed(word_x + np.uint64(iy) * _Y)
+            to_y = (iy + 0.5) * cy - my
+            flat, ahead = to_x * to_x + to_y * to_y, to_x * ux + to_y * uy
+            for iz in range(low_z, high_z):
+                to_z = (iz + 0.5) * cz - mz
+                along = ahead + to_z * uz
+                if not (short < along < long_) or flat + to_z * to_z - along * along > room_off * room_off:
+                    continue
+                word = mixed(word_y + np.uint64(iz) * _Z)
+                chance = unit(mixed(word + _STEP))
+                number = 0
+                while number < len(poisson) and poisson[number] <= chance:
+                    number += 1
+                turn = zero
+                for _ in range(number):
+                    turn += _TWO
+                    own = mixed(word + turn * _STEP)
+                    uniform = unit(mixed(own + _STEP))
+                    if uniform < too_small:
+                        continue
+                    px = (ix + (np.float64(own & _MASK) + 0.5) * 2.0**-21) * cx
+                    py = (iy + (np.float64((own >> _21) & _MASK) + 0.5) * 2.0**-21) * cy
+                    pz = (iz + (np.float64((own >> _42) & _MASK) + 0.5) * 2.0**-21) * cz
+                    r = math.sqrt((px - mx) ** 2 + (py - my) ** 2 + (pz - mz) ** 2)
+                    # beams that it is in have their feet between these
+                    nearest, farthest = max(r - begin_off - beyond, near_m), min(r + begin_off + beyond, far_m)
+                    if nearest > farthest:
+                        continue
+                    if uniform < least_between(nearest, farthest, least_from, block_m, needed):
+                        continue
+                    stack[0], deep = part, 1
+                    d = -1.0
+                    while deep:
+                        deep -= 1
+                        first, stop = nodes[stack[deep], 2], nodes[stack[deep], 3]
+                        for node in range(first, stop):
+                            bx, by, bz = px - cone[node, 0], py - cone[node, 1], pz - cone[node, 2]
+                            along = bx * cone[node, 3] + by * cone[node, 4] + bz * cone[node, 5]
+                            slack = beyond + cone[node, 7] + farthest * cone[node, 8]
+                            off = bx * bx + by * by + bz * bz - along * along
+                            if off <= slack * slack and along > -slack and until[node] > nearest:
+                                stack[deep] = node
+                                deep += 1
+                        if first < stop:
+                            continue
+                        for place in range(nodes[stack[deep], 0], nodes[stack[deep], 1]):
+                            tx = px - (beams[place, 0] - beams[place, 3] * vx)
+                            ty = py - (beams[place, 1] - beams[place, 3] * vy)
+                            tz = pz - (beams[place, 2] - beams[place, 3] * vz)
+                            ax, ay, az = beams[place, 4], beams[place, 5], beams[place, 6]
+                            r = tx * ax + ty * ay + tz * az
+                            if not (near_m <= r < far_m and r < beams[place, 7]):
+                                continue
+                            tx, ty, tz = tx - r * ax, ty - r * ay, tz - r * az
+                            square = tx * tx + ty * ty + tz * tz
+                            if square > beyond * beyond:
+                                continue
+                            wide = tan_x * r + exit_m
+                            i = order[place]
+                            if len(across) == 0:
+                                square = square / max(wide * wide, 1e-300)
+                            else:
+                                sx, sy, sz = across[i, 0], across[i, 1], across[i, 2]
+                                u = (tx * sx + ty * sy + tz * sz) / max(wide, 1e-150)
+                                v = tx * (ay * sz - az * sy) + ty * (az * sx - ax * sz) + tz * (ax * sy - ay * sx)
+                                v /= max(tan_y * r + exit_m, 1e-150)
+                                square = u * u + v * v
+                            if not gaussian and square >= 1.0:
+                                continue
+                            if d < 0.0:
+                                d = largest_mm
+                                if slope_mm > 0.0:
+                                    d = min(low_mm - math.log1p(-uniform * lost) / slope_mm, largest_mm)
+                            s = d * math.exp(-min(square, 500.0)) if gaussian else d
+                            if s < least_mm[min(max(int((r - least_from) / least_step), 0), len(least_mm) - 1)]:
+                                continue
+                            if total < room:
+                                out_beam[total], out_range[total], out_size[total] = i, r, s
+                            total += 1
+    return total
 
 
 @compiled(
     INTS, ROWS, INTS, FLOATS, FLOATS, FLOATS, FLOAT, FLOAT, FLOATS, ROWS, ROWS, ROWS, FLOATS, FLOATS, FLOAT, FLOAT,
-    FLOAT, FLOAT, FLAG, FLOATS, FLOAT, FLOAT, FLOATS, OUT_INTS, OUT_FLOATS, OUT_FLOATS,
+    FLOAT, FLOAT, FLAG, FLOATS, FLOAT, FLOAT, OUT_INTS, OUT_FLOATS, OUT_FLOATS,
 )  # fmt: skip
 def falling(
     keys, classes, reaches, reach_range, reach_wide, poisson, slope_mm, largest_mm, limits, centre, axis, across, t_s,
-    until_m, covered_m, tan_x, tan_y, exit_m, gaussian, least_mm, least_from, least_step, beam_limits, out_beam,
-    out_range, out_size,
+    until_m, covered_m, tan_x, tan_y, exit_m, gaussian, least_mm, least_from, least_step, out_beam, out_range, out_size,
 ):  # fmt: skip
     """Number of particles found, see `world_particles.in_beams`; written are as many as there is room for; -1: they are
     in too many cells.
 
     `classes` : (c, 7) least size, share, number per m^3, width of a cell, velocity; `reaches` : (c + 1,) where the
-    tables of each begin in `reach_range`, `reach_wide`; `limits` : octave, most boxes, most cells, flatness; and
-    `beam_limits` : cells that a bucket spans, its widest angle, slack.
+    tables of each begin in `reach_range`, `reach_wide`; `limits` : octave, most cells, flatness, cells that
+    a part spans, slack.
     """
-    n, total, seen = len(axis), 0, 0.0
-    octave, most_boxes, most_cells, flat = limits
-    span, widest, slack = beam_limits
-    origin, moved, turned = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
-    low_o, high_o, low_d, high_d = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
-    ways(axis, turned)
+    total, seen = 0, 0.0
+    octave, most_cells, flat, span, slack = limits
+    farthest = 0.0
+    for c in range(len(keys)):
+        if reaches[c + 1] - reaches[c] > 1:
+            farthest = max(farthest, reach_range[reaches[c + 1] - 1])
+    order, nodes, low, high, until = tree(centre, t_s, axis, until_m, 0.5 * farthest)
+    beams = packed(order, centre, t_s, axis, until_m)
+    cone, stack, parts = np.empty((len(nodes), 9)), np.empty(DEEPEST, np.int64), np.empty(DEEPEST, np.int64)
+    directions(low, high, cone)
+    blocks = (len(least_mm) + BLOCK - 1) // BLOCK
+    least, needed = np.empty(blocks), np.empty(blocks)
+    for block in range(blocks):
+        least[block] = math.inf
+        for k in range(block * BLOCK, min((block + 1) * BLOCK, len(least_mm))):
+            least[block] = min(least[block], least_mm[k])
+    shape = (tan_x, tan_y, exit_m, gaussian)
     for c in range(len(keys)):
         low_mm, lost, number, width = classes[c, 0], classes[c, 1], classes[c, 2], classes[c, 3]
         table = slice(reaches[c], reaches[c + 1])
         if table.stop - table.start < 2 or number <= 0.0:
             continue
         range_m, wide_m = reach_range[table], reach_wide[table]
-        for i in range(n):
-            for k in range(3):
-                origin[i, k] = centre[i, k] - t_s[i] * classes[c, 4 + k]
-        ways(origin, moved)
+        velocity = classes[c, 4], classes[c, 5], classes[c, 6]
+        of_class(velocity, low, high, cone)
+        for block in range(blocks):
+            needed[block] = 0.0
+            if slope_mm > 0.0 and least[block] > low_mm:
+                needed[block] = -math.expm1(-slope_mm * (least[block] - low_mm)) / lost * (1.0 - 1e-12)
+            elif least[block] > largest_mm:
+                needed[block] = 1.0
         cell_m, step_m = (width, width, width / flat), span * width
         begin, end = range_m[0], range_m[-1]
         while octave * end > max(begin, covered_m):
@@ -334,49 +414,39 @@ def falling(
             near = max(octave * end, begin)
             if near < begin + 2.0 * step_m:
                 near = begin
-            bucket_m = min(step_m, widest * end)
             steps = max(1, math.ceil((end - near) / step_m))
-            buckets, f = 0, 0
-            while f < n:
-                place = math.floor((moved[f] + end * turned[f]) / bucket_m)
-                g = f
-                while g + 1 < n and math.floor((moved[g + 1] + end * turned[g + 1]) / bucket_m) == place:
-                    g += 1
-                buckets += 1
-                if buckets * (end - near) > most_boxes * step_m:
-                    return -1
-                until = until_m[f]
-                for i in range(f, g + 1):
-                    until = max(until, until_m[i])
-                if near < until:
-                    for k in range(3):
-                        low_o[k] = high_o[k] = origin[f, k]
-                        low_d[k] = high_d[k] = axis[f, k]
-                        for i in range(f + 1, g + 1):
-                            low_o[k], high_o[k] = min(low_o[k], origin[i, k]), max(high_o[k], origin[i, k])
-                            low_d[k], high_d[k] = min(low_d[k], axis[i, k]), max(high_d[k], axis[i, k])
-                    aside, bend = bulge(origin, axis, f, g)
-                for step in range(steps if near < until else 0):
+            parts[0], left = 0, 1
+            while left:
+                left -= 1
+                part = parts[left]
+                if until[part] <= near:
+                    continue
+                first, stop = nodes[part, 2], nodes[part, 3]
+                if first < stop and 2.0 * (cone[part, 7] + end * cone[part, 8]) > step_m:
+                    for child in range(first, stop):
+                        parts[left] = child
+                        left += 1
+                    continue
+                for step in range(steps):
                     near_m = near + step * (end - near) / steps
                     far_m = near + (step + 1) * (end - near) / steps if step + 1 < steps else end
-                    if near_m >= until:
+                    if near_m >= until[part]:
                         break
                     reach_m = 0.0
                     for k in range(5):
                         reach_m = max(reach_m, between(near_m + 0.25 * k * (far_m - near_m), range_m, wide_m))
                     reach_m += slack
-                    low_x, high_x = cells_about(0, low_o, high_o, low_d, high_d, near_m, far_m, reach_m, cell_m[0])
-                    low_y, high_y = cells_about(1, low_o, high_o, low_d, high_d, near_m, far_m, reach_m, cell_m[1])
-                    low_z, high_z = cells_about(2, low_o, high_o, low_d, high_d, near_m, far_m, reach_m, cell_m[2])
+                    low_x, high_x = cells_about(0, part, low, high, velocity[0], near_m, far_m, reach_m, cell_m[0])
+                    low_y, high_y = cells_about(1, part, low, high, velocity[1], near_m, far_m, reach_m, cell_m[1])
+                    low_z, high_z = cells_about(2, part, low, high, velocity[2], near_m, far_m, reach_m, cell_m[2])
                     seen += float(high_x - low_x) * float(high_y - low_y) * float(high_z - low_z)
                     if seen > most_cells:
                         return -1
                     total = in_box(
-                        (low_x, low_y, low_z, high_x, high_y, high_z), f, g, near_m, far_m, reach_m,
-                        moved[g] - moved[f], aside, bend, np.uint64(keys[c]), poisson, low_mm, slope_mm, lost,
-                        largest_mm, cell_m, origin, axis, across, until_m, moved, turned, tan_x, tan_y, exit_m,
-                        gaussian, least_mm, least_from, least_step, total, out_beam, out_range, out_size,
+                        (low_x, low_y, low_z, high_x, high_y, high_z), part, nodes, order, cone, until, near_m,
+                        far_m, reach_m, (low_mm, slope_mm, lost, largest_mm), velocity,
+                        np.uint64(keys[c]), poisson, cell_m, beams, across, shape, least_mm,
+                        least_from, least_step, needed, stack, total, out_beam, out_range, out_size,
                     )  # fmt: skip
-                f = g + 1
             end = near
     return total

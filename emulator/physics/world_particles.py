@@ -35,6 +35,8 @@ FLAT = 4.0
 "Width of a cell over its height: most scans are level."
 BUCKET = 4.0
 "Neighbouring beams that are looked at together span this many cells."
+PART = 8.0
+"By loops: neighbours in all directions that are looked at together span this many."
 WIDEST_RAD = 0.5
 "And this angle at the most: what is near their chord is near them."
 OCTAVE = 0.4
@@ -110,15 +112,15 @@ def _in_beams_by_loops(loops: ModuleType, world: WorldParticles, light: Particle
         return _none()
     optics, (least, begin_m, step_m) = light.optics, light.least_table
     across = np.zeros((0, 3)) if lines.across is None else lines.across
-    limits = np.array([OCTAVE, MOST_BOXES, MOST_PAIRS, FLAT]), np.array([BUCKET, WIDEST_RAD, SLACK_M])
+    limits = np.array([OCTAVE, MOST_PAIRS, FLAT, PART, SLACK_M])
     keys, classes, *reaches = world.tables(light)
     room = 1024 + 8 * len(lines.axis)
     while True:
         beam, range_m, size = np.zeros(room, np.int64), np.zeros(room), np.zeros(room)
         number = loops.falling(
-            keys, classes, *reaches, _POISSON, world.sizes.slope_mm, light.sizes.largest_mm, limits[0],
+            keys, classes, *reaches, _POISSON, world.sizes.slope_mm, light.sizes.largest_mm, limits,
             lines.centre_m, lines.axis, across, lines.t_s, lines.far_m, _covered(lines.far_m), optics.tan_x,
-            optics.tan_y, optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, limits[1], beam, range_m, size,
+            optics.tan_y, optics.exit_radius_m, optics.gaussian, least, begin_m, step_m, beam, range_m, size,
         )  # fmt: skip
         if number < 0:
             return None

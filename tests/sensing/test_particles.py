@@ -367,6 +367,31 @@ def wandering(seed: int) -> Lines:
     return Lines(centre, axis, across if seed % 2 else None, 5.0 + late, rng.uniform(2.0, 12.0, n))
 
 
+def close_layers() -> Lines:
+    """Layers as close as the columns, which fire one after another on a sensor that drives; walls between."""
+    azimuth, elevation = (part.ravel() for part in np.meshgrid(np.arange(40) * 0.008, np.arange(32) * 0.008 - 0.12))
+    level = np.cos(elevation)
+    axis = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=1)
+    late = azimuth / (2.0 * math.pi * 10.0)
+    centre = np.array([3.0, -2.0, 4.0]) + late[:, None] * np.array([20.0, 3.0, 0.0])
+    return Lines(centre, axis, None, 5.0 + late, np.where(elevation < 0.0, 4.0, 12.0))
+
+
+def test_loops_find_the_particles_of_close_layers_that_arrays_find() -> None:
+    pytest.importorskip("numba")
+    light = particle_light(sensor(named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0]))
+    of, lines, found = WorldParticles(3, "snow", light.sizes, 1.0, (2.0, -1.0, 0.0)), close_layers(), []
+    for loops in (False, True):
+        with switch.switched(loops):
+            drawn = of.in_beams(light, lines)
+        assert drawn is not None
+        order = np.lexsort(drawn[1::-1])
+        found.append([column[order] for column in drawn])
+    assert len(found[0][0]) > 1000
+    np.testing.assert_array_equal(found[0][0], found[1][0])
+    np.testing.assert_allclose(found[0][1:], found[1][1:], rtol=1e-9)
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_loops_pass_over_no_beam_that_a_particle_is_in(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor over a cell: arrays look at all cells of a box, and at all beams near a particle."""
