@@ -363,13 +363,11 @@ class Around:
     "(bodies,)"
     material: Ints
     "(F,) of the structure's triangles."
-    movers: Floats
-    "(4, b) centres and radii of spheres that hold the moving bodies within reach, as long as the rays are cast."
     suspicious: float
     counters: Counters
     crossing: Crossing
     others: Floats
-    "(4, .) of `movers`, those that are not in `crossing`."
+    "(4, .) centres and radii of spheres that hold the moving bodies within reach which are not in `crossing`."
     parts: tuple[Longs, Longs, Ints]
     "Part of each triangle, first part of each body, material of each part."
 

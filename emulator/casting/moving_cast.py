@@ -194,16 +194,16 @@ class MovingCast:
         away = np.sqrt(((place - centre) ** 2).sum(axis=0))
         return centre, float((away + movers.reach + swept).max())
 
-    def around(self, origin: Floats, times: Floats, far: float) -> tuple[Floats, Crossing, Floats]:
-        """Centres and radii (4, b) of spheres that hold all that may come within reach of (3, m) at these instants;
-        what a pass needs that casts on them itself, and the spheres of those that it cannot cast on."""
+    def around(self, origin: Floats, times: Floats, far: float) -> tuple[Crossing, Floats]:
+        """What a pass needs that casts itself on all that may come within reach of (3, m) at these instants; centres
+        and radii (4, b) of spheres that hold those that it cannot cast on."""
         nothing = Crossing(np.zeros((4, 0)), NOWHERE, _columns(self._all.chosen(np.zeros(0, np.int64))))
         if not len(self):
-            return nothing.spheres, nothing, nothing.spheres
+            return nothing, nothing.spheres
         begin, end = float(times.min()), float(times.max())
         movers = self._near(*extent(origin), begin, end, far + NEARBY_M)
         if not len(movers.body):
-            return nothing.spheres, nothing, nothing.spheres
+            return nothing, nothing.spheres
         now, place, swept, curved = _whereabouts(movers, begin, end)
         if self._fed is not None and len(curved):
             near = self._looked(movers, times, curved)
@@ -213,8 +213,8 @@ class MovingCast:
                 near[0].fill(place, swept)
         spheres = np.concatenate([place, (movers.reach + swept + NEARBY_M)[None]])
         if not self._packets or len(self._slots) != 1 or movers.scale is not None or len(curved):
-            return spheres, nothing, spheres
-        return spheres, Crossing(spheres, self._slots[0].how, _columns(movers, now)), nothing.spheres
+            return nothing, spheres
+        return Crossing(spheres, self._slots[0].how, _columns(movers, now)), nothing.spheres
 
     def met(
         self,

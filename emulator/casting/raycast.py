@@ -199,10 +199,10 @@ class Caster:
         origin = origin_m.T
         if not _norm(origin[:, :1] - group.centre) < group.radius:
             return None
-        movers, crossing, others = self._moving.around(origin, t_s, far)
+        crossing, others = self._moving.around(origin, t_s, far)
         return Around(
             self._built[0].how, group.centre[:, 0], group.offset, table.plane, table.body, table.closed,
-            self._actor_of, self._material, movers, embree.SUSPICIOUS, self.counters, crossing, others,
+            self._actor_of, self._material, embree.SUSPICIOUS, self.counters, crossing, others,
             (table.part, self._parts_of, self._part_material),
         )  # fmt: skip
 

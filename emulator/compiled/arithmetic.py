@@ -34,6 +34,17 @@ def exp(exponent):
 
 
 @compiled()
+def faded(depth):
+    """e to -depth, for numbers one at a time: little depths have two short chains of terms; wrong by 3e-16."""
+    if depth > 0.0625:
+        return exp(-depth)
+    square = depth * depth
+    even = ((_EXP[8] * square + _EXP[6]) * square + _EXP[4]) * square + _EXP[2]
+    odd = (_EXP[7] * square + _EXP[5]) * square + _EXP[3]
+    return 1.0 - depth * (1.0 + odd * square) + even * square
+
+
+@compiled()
 def short_cos_sin(angle):
     """Cosine and sine of angles up to half a turn, as `physics.arrays.cos_sin` has them."""
     half = 0.5 * angle

@@ -1,6 +1,7 @@
 """Strips of smooth surfaces: how many a beam needs, and their sub-echoes.
 
-Belongs here: what `sensing.strips` does with arrays. Not: how a beam is found to see one surface (narrow).
+Belongs here: what `sensing.strips` does with arrays, with the sub-echoes of other beams between them. Not: how a beam
+is found to see one surface (narrow).
 """
 
 # mypy: disable-error-code="no-untyped-def"
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.compiled.arithmetic import exp
+from emulator.compiled.arithmetic import faded
 from emulator.compiled.jit import FLOAT, FLOATS, INTS, ROWS, TURNS, WORDS, compiled
 
 
@@ -41,16 +42,49 @@ def strips_wanted(lead, size, fwhm, level, foot, allowed, wide, numbers, feet, s
     return np.int64(0)
 
 
-@compiled(INTS, ROWS, INTS, WORDS, WORDS, FLOATS, ROWS, TURNS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT)
-def strips(at, rows, count, material, actor, weight, factors, nodes, extinction, k_m2, area, start, full):
-    """Sub-echoes of the beams `at`: beam and source (2, k), range, amplitude, share (3, k), see `strips.echoes`."""
-    total = 0
+@compiled()
+def _copied(begin, beam, range_m, amplitude, blocked, source, whole, sizes, made):
+    """Put sub-echoes of the beam that comes next from number `begin` on; its end there, and among all."""
+    one = beam[begin]
+    while begin < len(beam) and beam[begin] == one:
+        whole[0, made], whole[1, made] = one, source[begin]
+        sizes[0, made], sizes[1, made], sizes[2, made] = range_m[begin], amplitude[begin], blocked[begin]
+        begin, made = begin + 1, made + 1
+    return begin, made
+
+
+@compiled(
+    INTS, ROWS, INTS, WORDS, WORDS, FLOATS, ROWS, TURNS, FLOAT, FLOAT, FLOAT, FLOAT, FLOAT,
+    INTS, FLOATS, FLOATS, FLOATS, INTS, INTS, FLOATS, FLOATS, FLOATS, INTS,
+)  # fmt: skip
+def strips(
+    at, rows, count, material, actor, weight, factors, nodes, extinction, k_m2, area, start, full,
+    beam, range_m, amplitude, blocked, source, beam_too, range_too, amplitude_too, blocked_too, source_too,
+):  # fmt: skip
+    """Sub-echoes of the beams `at`: beam and source (2, k), range, amplitude, share (3, k), see `strips.echoes`.
+
+    Between them by beam those of others, from `beam` on, and of others again, from `beam_too` on.
+    """
+    total = len(beam) + len(beam_too)
     for one in range(len(at)):
         total += count[at[one]]
     whole, sizes = np.empty((2, total), np.int64), np.empty((3, total))
-    made = 0
-    for one in range(len(at)):
-        i = at[one]
+    made = first = second = 0
+    for one in range(len(at) + 1):
+        i = at[one] if one < len(at) else len(count)
+        while True:
+            this = beam[first] if first < len(beam) else len(count)
+            that = beam_too[second] if second < len(beam_too) else len(count)
+            if this < that and this < i:
+                first, made = _copied(first, beam, range_m, amplitude, blocked, source, whole, sizes, made)
+            elif that < i:
+                second, made = _copied(
+                    second, beam_too, range_too, amplitude_too, blocked_too, source_too, whole, sizes, made
+                )  # fmt: skip
+            else:
+                break
+        if one == len(at):
+            break
         own, kind = nodes[count[i]], np.int64(material[i])
         above, leans, facing, turns = rows[0, i], rows[1, i], rows[2, i], rows[3, i]
         beside, cosine, bends = rows[4, i], rows[5, i], rows[6, i]
@@ -59,7 +93,7 @@ def strips(at, rows, count, material, actor, weight, factors, nodes, extinction,
             r = (above - leans * place) / (facing + turns * place) + beside
             height = weight[i] * k_m2 * share * reflected(factors, kind, cosine + bends * place) / (r * r + area)
             if extinction > 0.0:
-                height *= exp(-2.0 * extinction * r)
+                height *= faded(2.0 * extinction * r)
             if r < start:
                 height = 0.0
             elif r < full:

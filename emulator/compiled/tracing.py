@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.compiled.arithmetic import exp
+from emulator.compiled.arithmetic import faded
 from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAG, FLAGS, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
 from emulator.compiled.moving import cross
@@ -196,7 +196,7 @@ def traced(
     n, m = len(at), nodes.shape[1]
     verdict, nearest = np.full(n, DONE), np.full(n, np.inf)
     what, normal = np.full(n, -1, np.int32), np.zeros((3, n))
-    spheres = movers.copy()
+    spheres, aim = movers.copy(), np.empty((5, m))
     for i in range(3):
         spheres[i] -= centre[i]
     packet, flags, lanes = room(width)
@@ -229,11 +229,16 @@ def traced(
                 u, v = cos_p * nodes[0, p] - sin_p * nodes[1, p], sin_p * nodes[0, p] + cos_p * nodes[1, p]
                 across, upward = turn * tan_x * u - tilt * tan_y * v, tilt * tan_x * u + turn * tan_y * v
                 length = np.sqrt(1.0 + across * across + upward * upward)
-                x, y = exit_m * (turn * u - tilt * v), exit_m * (tilt * u + turn * v)
-                for axis in range(3):
-                    left, up = frame[1, axis, i], frame[2, axis, i]
-                    rays[X + axis, base + p] = place[axis, i] - centre[axis] + left * x + up * y
-                    rays[AHEAD + axis, base + p] = (frame[0, axis, i] + left * across + up * upward) / length
+                aim[0, p], aim[1, p], aim[2, p] = 1.0 / length, across / length, upward / length
+                aim[3, p], aim[4, p] = exit_m * (turn * u - tilt * v), exit_m * (tilt * u + turn * v)
+            for axis in range(3):
+                forward, left, up = frame[0, axis, i], frame[1, axis, i], frame[2, axis, i]
+                here, to, by = place[axis, i] - centre[axis], rays[X + axis], rays[AHEAD + axis]
+                for p in range(m):
+                    to[base + p] = here + left * aim[3, p] + up * aim[4, p]
+                for p in range(m):
+                    by[base + p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
+            for p in range(m):
                 rays[WEIGHT, base + p], rays[LENGTH, base + p], rays[DEPTH, base + p] = weight[i] * share[p], 0.0, 0.0
                 rays[AIR, base + p], rays[TIME, base + p] = share[p], t_s[i]
                 tags[0, base + p], tags[1, base + p], tags[2, base + p] = one, 0, -1
@@ -371,7 +376,7 @@ def traced(
                         later[AIR, to] = rays[AIR, ray] * part * part if passed else 0.0
                         later_tags[0, to], later_tags[1, to] = one, 2 * tags[1, ray] + passed
                         later_tags[2, to] = -1 if inner == (passed == 1) else met
-                lost = 1.0 - 2.0 * depth * (1.0 - depth) if 2.0 * depth < clear_depth else exp(-2.0 * depth)
+                lost = 1.0 - 2.0 * depth * (1.0 - depth) if 2.0 * depth < clear_depth else faded(2.0 * depth)
                 height = rays[WEIGHT, ray] * k_m2 * lost * reflected(factors, kind, cosine) / (length * length + area)
                 if length < start:
                     height = 0.0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from emulator.physics import beams
 from emulator.physics.arrays import Bools, Floats, Ints, indexes
 from emulator.physics.beams import beam_phase
-from emulator.physics.subechoes import SubEchoes, interleaved
+from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import closed, strips
 from emulator.sensing.air import AirNow
 from emulator.sensing.contracts import FacedCaster, Hits
@@ -256,9 +256,16 @@ class Probing:
             made[0, chosen] = seen.nearest_m
             others.append(_of(chosen, seen.echoes))
         found = strips.echoes(
-            indexes(kinds == CLOSED), faces, material, actor, weight, surfaces.table, air.extinction_per_m, model
+            indexes(kinds == CLOSED),
+            faces,
+            material,
+            actor,
+            weight,
+            surfaces.table,
+            air.extinction_per_m,
+            model,
+            others,
         )
-        found = interleaved([*others, found], n)
         none, each = np.full(n, np.nan), np.arange(n)
         axis = beams_.frame[0].T
         axes = Rays(pose.position_m, axis, t_s, each, np.ones(n), each, pose.position_m, axis, beams_.own_axis)

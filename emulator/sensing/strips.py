@@ -21,7 +21,7 @@ from emulator.compiled.pair import by_loops
 from emulator.physics.arrays import Floats, Ints, clamped, exp_or_zero
 from emulator.physics.materials import SurfaceTable
 from emulator.physics.radiometry import overlap
-from emulator.physics.subechoes import SubEchoes
+from emulator.physics.subechoes import SubEchoes, interleaved
 from emulator.sensing.model import SensorModel
 
 Words = NDArray[np.int32]
@@ -104,11 +104,14 @@ NODES = _tabled()
 
 def _echoes_by_loops(
     loops: ModuleType, at: Ints, faces: Faces, material: Words, actor: Words, weight: Floats, table: SurfaceTable,
-    extinction_per_m: float, model: SensorModel,
+    extinction_per_m: float, model: SensorModel, others: list[SubEchoes],
 ) -> SubEchoes:  # fmt: skip
+    others = [one for one in others if len(one)]
+    pair = [interleaved(others[1:], len(weight)), *others[:1], SubEchoes.none()][:2]
+    columns = [(one.beam, one.range_m, one.amplitude, one.blocked, one.source) for one in pair]
     whole, sizes = loops.strips(
         at, faces.rows, faces.count, material, actor, weight, table.factors, NODES, extinction_per_m,
-        model.k_m2, model.aperture_radius_m**2, model.overlap_start_m, model.overlap_full_m,
+        model.k_m2, model.aperture_radius_m**2, model.overlap_start_m, model.overlap_full_m, *columns[0], *columns[1],
     )  # fmt: skip
     return SubEchoes(whole[0], sizes[0], sizes[1], sizes[2], whole[1])
 
@@ -116,9 +119,12 @@ def _echoes_by_loops(
 @by_loops(_echoes_by_loops, "strips")
 def echoes(
     at: Ints, faces: Faces, material: Words, actor: Words, weight: Floats, table: SurfaceTable, extinction_per_m: float,
-    model: SensorModel,
+    model: SensorModel, others: list[SubEchoes],
 ) -> SubEchoes:  # fmt: skip
-    """Sub-echoes of the beams `at`, ascending; `weight` (n,) of their light; materials are none of `table.apart`."""
+    """Sub-echoes of the beams `at`, ascending, with those of other beams, `others`, between them.
+
+    `weight` : (n,) of their light; materials are none of `table.apart`.
+    """
     count = faces.count[at]
     of = at.repeat(count)
     first = (count.cumsum() - count).repeat(count)
@@ -130,4 +136,5 @@ def echoes(
     if extinction_per_m > 0.0:
         height = height * exp_or_zero(-2.0 * extinction_per_m * range_m)
     height = height * overlap(range_m, model.overlap_start_m, model.overlap_full_m)
-    return SubEchoes(of, range_m, height, share, actor[of].astype(np.int64))
+    found = SubEchoes(of, range_m, height, share, actor[of].astype(np.int64))
+    return interleaved([*others, found], len(weight))

@@ -14,6 +14,7 @@ from emulator.compiled import switch
 from emulator.sensing import narrow
 from emulator.sensing.measure import Measure
 from emulator.sensing.narrow import LEFT, Settled
+from emulator.sensing.probing import CLOSED
 from emulator.sensing.view import View
 from emulator.world import triangles
 from emulator.world.motion import Steady
@@ -88,10 +89,28 @@ def wall() -> Any:
     return body(0, triangles.box(0.1, 90.0, 90.0), 0, Steady(at_m=(20.0, 0.0, -45.0)))
 
 
-def test_what_moves_before_a_wall_is_seen(passed: list[Settled]) -> None:
-    """It crosses the view at 30 m/s; beams far from it are settled, those that may meet it are left."""
-    car = body(0, triangles.box(4.0, 2.0, 1.5), 0, Steady(at_m=(10.0, -3.0, -0.7), velocity_m_s=(0.0, 30.0, 0.0)))
-    (arrays, _), (loops, _) = forms(measure_of(of_bodies(wall(), car), PUCK), layers())
+def test_what_moves_before_a_wall_is_met_in_the_pass(passed: list[Settled]) -> None:
+    """It crosses the view at 30 m/s, and another before it, which is aslant: no beam is left."""
+    fast = {"velocity_m_s": (0.0, 30.0, 0.0)}
+    car = body(0, triangles.box(4.0, 2.0, 1.5), 0, Steady(at_m=(10.0, -3.0, -0.7), **fast))
+    van = body(0, triangles.box(2.0, 1.0, 1.0), 2, Steady(at_m=(7.0, 1.0, -0.2), yaw_deg=35.0, **fast))
+    scene = of_bodies(wall(), car, van, materials=("asphalt", "retro_sheeting", "car_paint_silver"))
+    (arrays, before), (loops, after) = forms(measure_of(scene, PUCK), layers())
+    assert len(differing(arrays, loops)) == 0
+    assert before.plain is not None
+    np.testing.assert_array_equal(before.plain, after.plain)
+    np.testing.assert_array_equal(before.seen.axis_material, after.seen.axis_material)
+    np.testing.assert_allclose(before.seen.axis_normal, after.seen.axis_normal, atol=1e-12)
+    np.testing.assert_allclose(before.seen.nearest_m, after.seen.nearest_m, rtol=1e-9)
+    for far_m in (7.5, 12.0):
+        near = (loops.range_m[:, 0] < far_m) & (loops.range_m[:, 0] > far_m - 4.0)
+        assert np.count_nonzero(near & (passed[-1].kinds == CLOSED)) > 3
+    assert not (passed[-1].kinds == LEFT).any()
+
+
+def test_what_turns_is_left_to_arrays_where_a_beam_may_meet_it(passed: list[Settled]) -> None:
+    gate = body(0, triangles.box(0.1, 4.0, 2.0), 0, Steady(at_m=(10.0, -3.0, -0.7), yaw_rate_deg_s=40.0))
+    (arrays, _), (loops, _) = forms(measure_of(of_bodies(wall(), gate), PUCK), layers())
     assert len(differing(arrays, loops)) == 0
     near = loops.range_m[:, 0] < 12.0
     assert np.count_nonzero(near) > 3
