@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from emulator.compiled.arithmetic import cos_sin
 from emulator.compiled.clusters import cross
 from emulator.compiled.jit import FLOAT, FLOATS, INT, INTS, ROWS, compiled
 
@@ -95,21 +96,22 @@ def ended_under(edged, first, bin_m, wave_number, ends, knots, cubics, cells, ce
 
 
 @compiled()
-def part_under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends):
-    """See `AirUnder.at`."""
-    now = last - before
+def _at_bin(number, now, begins, open_, sums, edged, first, bin_m, wave_number, ends):
+    """See `AirUnder.at`, at a bin."""
     still = max(open_ - (sums[0, now] - sums[0, begins]), 0.0)
     a, real, imaginary = sums[1, now] - sums[1, begins], sums[2, now] - sums[2, begins], sums[3, now] - sums[3, begins]
-    place = np.floor(x_m / bin_m)
-    values = (0.0, 0.0)
-    for step in range(2):
-        number = int(place) + step
-        upper, lower = bounds(number, edged, first, bin_m, wave_number, ends)
-        turn = wave_number * bin_m * (place + step)
-        ended = a + np.cos(turn) * real - np.sin(turn) * imaginary
-        value = max(0.5 * (still * upper + ended - open_ * lower), 0.0)
-        values = (value, values[1]) if step == 0 else (values[0], value)
-    return values[0] + (x_m / bin_m - place) * (values[1] - values[0])
+    upper, lower = bounds(number, edged, first, bin_m, wave_number, ends)
+    cosine, sine = cos_sin(wave_number * bin_m * number)
+    return max(0.5 * (still * upper + a + cosine * real - sine * imaginary - open_ * lower), 0.0)
+
+
+@compiled()
+def part_under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends):
+    """See `AirUnder.at`."""
+    now, number = last - before, int(np.floor(x_m / bin_m))
+    near = _at_bin(number, now, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+    far = _at_bin(number + 1, now, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+    return near + (x_m / bin_m - number) * (far - near)
 
 
 @compiled()
@@ -118,9 +120,13 @@ def lifted_in_air(centre, height, swing, size, open_, sums, edged, first, bin_m,
 
     `swing` : its |C|.
     """
-    before = part_under(centre - bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    here = part_under(centre, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    behind = part_under(centre + bin_m, size, 0, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    number = int(np.floor(centre / bin_m))
+    share = centre / bin_m - number
+    one = _at_bin(number - 1, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    two = _at_bin(number, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    three = _at_bin(number + 1, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    four = _at_bin(number + 2, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    before, here, behind = one + share * (two - one), two + share * (three - two), three + share * (four - three)
     slope, curve = 0.5 * (behind - before) / bin_m, (behind - 2.0 * here + before) / (bin_m * bin_m)
     bend = 0.5 * wave_number * wave_number * swing - curve
     shift = slope / bend if bend > 0.0 else 0.0
@@ -134,8 +140,15 @@ def cross_in_air(
     start, size, first_m, begun, total, real, imaginary, half_m, least, exact_m, passes,
 ):  # fmt: skip
     """The crossing of one cluster, see `crossed_under`."""
+    known, of = 0, -1
+    near = far = 0.0
     for _ in range(passes):
-        air = part_under(crossing, last, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+        number = int(np.floor(crossing / bin_m))
+        if number != known or last != of:  # mostly it moves within a bin
+            near = _at_bin(number, last - before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+            far = _at_bin(number + 1, last - before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+            known, of = number, last
+        air = near + (crossing / bin_m - number) * (far - near)
         was = crossing
         left = max(level - air, least * level)
         crossing, last = cross(left, start, size, first_m, begun, total, real, imaginary, half_m, wave_number)

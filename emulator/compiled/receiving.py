@@ -284,8 +284,9 @@ def received(
                         stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
                         open_ = left_open(blocked, head_of[i], j)
                         centre[i], height[i], shift_of[i] = lifted_in_air(
-                            centre[i], height[i], 2.0 * height[i] - a, size, open_, stops, edged, first, bin_m, wave_number, ends
-                        )
+                            centre[i], height[i], 2.0 * height[i] - a, size, open_, stops, edged, first, bin_m,
+                            wave_number, ends,
+                        )  # fmt: skip
                 good = good and height[i] > 0.0
             if not good:
                 left[row] = True

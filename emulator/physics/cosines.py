@@ -408,8 +408,9 @@ def _near(
 
     A cluster is crossed in closed form where the medium is faint under it, or where it swings by much more, and by more
     than the noise: it is higher than |C|, and the medium falls from its maximum on, so that the valley before the
-    cluster is not above what the medium has a sample before it begins. Then the cluster's maximum, and that of the medium by the same rule, stand apart
-    from all others in samples too (`candidates`), whatever the medium is beside the threshold.
+    cluster is not above what the medium has a sample before it begins. Then the cluster's maximum, and that of the
+    medium by the same rule, stand apart from all others in samples too (`candidates`), whatever the medium is beside
+    the threshold.
 
     A beam with such a cluster that is not short has none that is but behind all that are not: its medium is sampled,
     with all that blocks it. What is more than a pulse behind blocks nothing of what is sampled.
@@ -448,8 +449,9 @@ def _under(
     """The medium under some short clusters, which adds to their `height`, where it is doubtful, where it may be over a
     level, and (c,) how far it shifts `centre`.
 
-    `centre`, `height`, `where` (start and size) : of all; `total` : of all sub-echoes, see `Cosines`; `number` : of those with a medium among them; `start`,
-    `size`, `share` : of these, the last its bound over the threshold.
+    `centre`, `height`, `where` (start and size) : of all; `total` : of all sub-echoes, see `Cosines`;
+    `number` : of those with a medium among them; `start`, `size`, `share` : of these, the last its bound over the
+    threshold.
     """
     most = share * detector.threshold
     strong = (most <= SLIGHT * height[number]) & (soft.until_m < np.inf)

@@ -167,15 +167,27 @@ class Receiver:
                 dazzled=given.dazzled, noise_echoes=given.noise_echoes,
             )  # fmt: skip
             return self._read_off(plan, given, echoes)
-        if kept is None and found.spread_m is None and model.triangulation is None:
-            made = readings(
-                lambda: looked_at(found, given.soft, model), n, given.detector, given.soft, given.noise, given.dazzled,
-                given.normals, given.spreads, given.noise_echoes, model.systematic_m, model.range_noise_m,
-            )  # fmt: skip
-            if made is not None:
+        if kept is None or bool(kept.changed.any()):
+            made = self._read_at_once(n, given, found, None if kept is None else ~kept.changed)
+            if made is not None and kept is None:
                 return made
+            if made is not None and kept is not None:
+                # what is known of all beams is as quick as of those that rest
+                known = self._again(kept.found, ~kept.changed, given.soft, given.noise)
+                resting = self._read_off(plan, given, self._detected(given, kept.found, n, (known,)))
+                return resting.replaced(kept.changed, made)
         signals = self._signals(found, kept, n, given.soft, given.noise)
         return self._read_off(plan, given, self._detected(given, found, n, signals))
+
+    def _read_at_once(self, beams: int, given: _Given, found: SubEchoes, without: Bools | None) -> Readings | None:
+        """Of all beams but some, by compiled loops; None: by arrays, step by step."""
+        model = self._model
+        if found.spread_m is not None or model.triangulation is not None:
+            return None
+        return readings(
+            lambda: looked_at(found, given.soft, model), beams, given.detector, given.soft, given.noise, given.dazzled,
+            given.normals, given.spreads, given.noise_echoes, model.systematic_m, model.range_noise_m, without,
+        )  # fmt: skip
 
     def _detected(self, given: _Given, found: SubEchoes, beams: int, signals: tuple[Signals, ...]) -> Echoes:
         return detect(

@@ -60,11 +60,21 @@ class Readings:
     flags: NDArray[np.uint8]
     "(n,)"
 
+    def replaced(self, beams: Bools, other: Readings) -> Readings:
+        """With what `other` has of some beams (n,)."""
+        rows = beams[:, None]
+        return Readings(
+            np.where(rows, other.range_m, self.range_m),
+            np.where(rows, other.intensity, self.intensity),
+            np.where(rows, other.actor, self.actor),
+            np.where(beams, other.flags, self.flags),
+        )
+
 
 def _readings_by_loops(
     loops: ModuleType, look: Look, beams: int, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
-    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
+    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float, without: Bools | None = None,
 ) -> Readings | None:  # fmt: skip
     """On a leading edge of sin^2 pulses that follows the noise."""
     pulse = detector.pulse
@@ -97,10 +107,12 @@ def _readings_by_loops(
         detector.max_echoes, *(NO_ALARMS if noise_echoes is None else noise_echoes), free, rise[1], rise[0],
         KEEPS[detector.keep], law,
     )  # fmt: skip
-    left = np.full(beams, not closes)
+    left = np.full(beams, not closes) if without is None or not closes else without.copy()
     range_m, intensity, actor, flags = loops.received(
         found.beam, found.range_m, found.amplitude, found.source, left, *given, found.blocked, *medium
     )
+    if without is not None:
+        left &= ~without
     if bool(left.any()):
         more = np.array([
             *hazy, detector.bin_m, detector.resolution_m, closes, candidates.FAINT, timing.EXACT_M,
@@ -117,12 +129,13 @@ def _readings_by_loops(
 def readings(
     look: Look, beams: int, detector: Detector, soft: SoftProfile | None, rms: Floats | None,
     dazzled: Bools | None, normals: Normals | None, spreads: Normals | None,
-    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float,
+    noise_echoes: NoiseEchoes | None, systematic_m: float, noise_m: float, without: Bools | None = None,
 ) -> Readings | None:  # fmt: skip
     """What the beams report; None, as with arrays: it is to be found step by step.
 
     `look` : what is looked at, without spreads, asked for once if at all; `rms` : (n,) noise over the nominal one;
     `normals`, `spreads` : (n, .) numbers for the noise at echoes and of ranges; None: none; `noise_echoes` : false
-    alarms; `systematic_m`, `noise_m` : what ranges are off by, and the deviation of `spreads`.
+    alarms; `systematic_m`, `noise_m` : what ranges are off by, and the deviation of `spreads`; `without` : (n,) beams
+    that are left out, and report nothing.
     """
     return None
