@@ -438,12 +438,22 @@ class SurfaceTable:
                     continue
                 k, cs = index[at], c[at]
                 if model == "phong":
-                    specular, exponent = self._column("rho_specular")[k], self._column("exponent")[k]
+                    specular, exponent = self._phong[0, k], self._phong[1, k]
                     result[at] = brdf.phong_cos(self.rho[k], specular, exponent, cs)
                 else:
-                    lobe = brdf.ggx_cos(self._column("f0")[k], self._column("roughness")[k], cs)
-                    result[at] += self._column("lobe_share")[k] * lobe
+                    f0, roughness, share = self._ggx
+                    result[at] += share[k] * brdf.ggx_cos(f0[k], roughness[k], cs)
         return result
+
+    @cached_property
+    def _phong(self) -> Floats:
+        """(2, materials): specular reflectance, exponent."""
+        return np.array([self._column("rho_specular"), self._column("exponent")])
+
+    @cached_property
+    def _ggx(self) -> Floats:
+        """(3, materials): F0, roughness, the lobe's share."""
+        return np.array([self._column("f0"), self._column("roughness"), self._column("lobe_share")])
 
     @cached_property
     def factors(self) -> Floats:

@@ -339,12 +339,12 @@ def _sent_on(
     share, both = np.concatenate([mirrored[turning], through[passing]]), np.concatenate([turning, passing])
     index, count = glossy[both], len(turning)
     row = index if chosen is None else chosen[index]  # their numbers in the front
-    direction, length = front.direction.take(row, axis=0), lit.length_m[index]
+    direction, length = front.direction[row], lit.length_m[index]  # `take` would first copy all: coordinates are rows
     if count:
         normal = hits.normals(row[:count])
         if isinstance(front.length_m, float):  # a beam already turned has no axis to measure the tilt from
             at = index[:count]
-            axis = rays.axis.take(lit.beam[at], axis=0)
+            axis = rays.axis[lit.beam[at]]
             lit.reflectance[at] += _face_on(axis, normal, share[:count], length[:count], model)
         direction[:count] += 2.0 * facing[turning, None] * normal
     onward = _Onward(row, direction, share, length, depth(index), count)
@@ -421,7 +421,7 @@ def _continue(
     # the first fronts carry their share of the beam: the bound is for a beam whose sub-rays all go the same way
     whole = len(rays.beam) / len(rays.axis)
     parts: list[Part] = []
-    way = np.zeros(len(front.beam), np.int64)
+    way = np.zeros(len(front.beam) if ways is not None else 0, np.int64)
     for bounce in range(model.bounces):
         if onward is None:
             break
@@ -430,7 +430,8 @@ def _continue(
         kept = indexes((_best(weight, onward, whole, scene, model) > least) & (onward.length_m < reach_m))
         if not len(kept):
             break
-        way = 2 * way[onward.index[kept]] + (kept >= onward.passed)
+        if ways is not None:
+            way = 2 * way[onward.index[kept]] + (kept >= onward.passed)
         front = _sent(front, onward, kept, weight, hits)
         if scene.solid is not None:
             front = _come_out(front, caster, scene.solid)
@@ -460,9 +461,9 @@ def _sent(front: _Front, onward: _Onward, kept: Ints, weight: Floats, hits: Hits
     index, length = onward.index[kept], onward.length_m[kept]
     direction, step = onward.direction.take(kept, axis=0), BEHIND_M * (1.0 + length / 1000.0)
     reached, first = length - _part(front.length_m, index), int(kept.searchsorted(onward.passed))
-    origin = front.direction.take(index, axis=0)
+    origin = front.direction[index]
     origin *= reached[:, None]
-    origin += front.origin_m.take(index, axis=0)
+    origin += front.origin_m[index]
     own, air = weight[kept], np.zeros(len(kept))
     air[first:] = front.air[index[first:]] * onward.share[kept[first:]] ** 2
     t_s, beam, depth = front.t_s[index], front.beam[index], onward.depth[kept]

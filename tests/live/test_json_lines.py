@@ -34,6 +34,33 @@ def test_a_quaternion_is_x_y_z_w() -> None:
     assert found.quaternion == pytest.approx(from_angles(np.pi / 2))
 
 
+@pytest.mark.parametrize("yaw_deg", [0.0, 28.64789, -90.0, 180.0, 200.0, -359.0])
+def test_a_plain_actor_is_what_one_with_all_keys_is(yaw_deg: float) -> None:
+    plain = {"id": "7", "at_m": [1.0, -2.5, 0.75], "yaw_deg": yaw_deg, "velocity_m_s": [5.0, 0.0, -1.0]}
+    more = plain | {"reference": "ground"}
+    level = {"pitch_deg": 0.0, "roll_deg": 0.0, "static": False}
+    one, two = decoded(json.dumps({"actors": [plain, more | {"id": "8"}]})).actors
+    other, another = decoded(json.dumps({"actors": [plain | level, more | level | {"id": "8"}]})).actors
+    assert (one, two) == (other, another)
+    assert one.quaternion == pytest.approx(from_angles(np.radians(yaw_deg)), abs=0.0)
+    assert (one.reference, two.reference) == ("box_centre", "ground")
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"at_m": [1.0, 2.0, float("nan")]}, {"at_m": [1e8, 0.0, 0.0]}, {"velocity_m_s": [float("inf"), 0.0, 0.0]},
+        {"velocity_m_s": [2e5, 0.0, 0.0]}, {"yaw_deg": 2e6}, {"yaw_deg": float("nan")}, {"reference": "roof"},
+        {"velocity_m_s": ["a", 0.0, 0.0]}, {"id": ""}, {"id": "x" * 200},
+    ],
+)  # fmt: skip
+def test_a_plain_actor_with_one_wrong_value_is_refused(wrong: dict[str, object]) -> None:
+    plain = {"id": "7", "at_m": [1.0, 2.0, 0.0], "yaw_deg": 5.0, "velocity_m_s": [5.0, 0.0, 0.0]}
+    decoded(json.dumps({"actors": [plain]}))
+    with pytest.raises(BadSample, match="want"):
+        decoded(json.dumps({"actors": [plain | wrong]}))
+
+
 @pytest.mark.parametrize(
     "line",
     [

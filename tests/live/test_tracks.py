@@ -10,7 +10,7 @@ import pytest
 from emulator.live.book import Book, Rules
 from emulator.live.rotations import Floats, from_angles, of_vector, product, slerp, to_vector, travelled, turned
 from emulator.live.samples import ActorSample, Update
-from emulator.live.tracks import COLUMNS, Track, World, hermite
+from emulator.live.tracks import COLUMNS, Track, World, columns_of, hermite, look_at
 
 
 def fed(
@@ -201,3 +201,42 @@ def test_a_world_arrives_in_another_process_as_it_was() -> None:
                 else:
                     assert getattr(one, name) == value
     assert len(book.world(0.0, 10.0).tracks) == 2
+
+
+def test_what_tracks_of_one_world_are_is_what_each_of_them_is_alone() -> None:
+    rng = np.random.default_rng(5)
+    book = Book(Rules(), names=[f"car {k}" for k in range(6)])
+    turns = np.outer(np.arange(8), [0.0, 0.0, 0.0, 0.2, 0.0, 0.0])
+    for step in range(8):
+        t_s = 0.01 * step
+        ways = [
+            (0.0, 0.0, 0.0),
+            (8.0 * t_s, 0.0, 0.0),
+            (t_s, 2.0 * t_s, 0.0),
+            (0.0, 0.0, 0.0),
+            tuple(rng.normal(size=3)),
+        ]
+        speeds = [(0.0, 0.0, 0.0), (8.0, 0.0, 0.0), None, (0.0, 0.0, 0.0), (0.1, 0.0, 0.0)]
+        actors = [
+            ActorSample(f"car {k}", way, from_angles(turns[step, k]), speed)
+            for k, (way, speed) in enumerate(zip(ways, speeds, strict=True))
+        ]
+        book.take(Update(None, tuple(actors)), round(t_s * 1e9))
+    world = book.world(0.0, 0.1)
+    tracks = [one for _, one in world.tracks]
+    alone = [one.nature for _, one in book.world(0.0, 0.1).tracks]  # each by itself
+    look_at(tracks, world.columns)
+    for one, other in zip(tracks, alone, strict=True):
+        mine = one.nature
+        assert (mine.comes_back, mine.turns, mine.rests) == (other.comes_back, other.turns, other.rests)
+        assert (mine.straight_m_s is None) == (other.straight_m_s is None)
+        assert mine.straight_m_s is None or np.array_equal(mine.straight_m_s, other.straight_m_s)
+    assert [(one.turns, one.rests, one.straight_m_s is not None) for one in tracks] == [
+        (False, True, True), (False, False, True), (False, False, True), (True, False, False), (False, False, False),
+    ]  # fmt: skip
+    assert tracks[1].straight_m_s == pytest.approx([8.0, 0.0, 0.0])
+    for kept, made in zip(world.columns, columns_of(tracks), strict=True):
+        assert np.array_equal(kept, made, equal_nan=True)
+    there = pickle.loads(pickle.dumps(world))
+    for kept, made in zip(there.columns, columns_of([one for _, one in there.tracks]), strict=True):
+        assert np.array_equal(kept, made, equal_nan=True)
