@@ -2,12 +2,16 @@
 
 `LIDAREMU_TESTS_BY_LOOPS=FOLDER`: with `LIDAREMU_COMPILED=0` the names of such tests are written into it, by each
 process into a file of its own; with 1 all others are left out. A test that shares a fixture with such a test counts.
+
+Whole scenarios that are judged for what the world shows, and not for how it is computed, have loops in the first pass:
+they take two thirds of the time, and `WHOLE` says why nothing is lost.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import ModuleType
 
@@ -20,6 +24,11 @@ ALIKE = (
     "tests/sensing/error_budget/test_plain.py::test_shipped_scenarios_are_the_same_full_and_pruned",
 )
 "Not by loops: they are the same by arrays, and tests/compiled/test_same.py holds that loops measure all of it alike."
+
+WHOLE = ("tests/judging", "tests/run_report", "tests/studies", "tests/objects/test_fog_objects.py")
+"""By loops in the first pass too. Every step of theirs is judged by arrays in tests/{world,casting,sensing,physics,
+extreme}, whole scenarios of each family in tests/{hosts,recording,runtime,injection,faults,scenario}, lists of objects
+in the rest of tests/objects; and what these start as a process of its own is by arrays."""
 
 FOLDER = os.environ.get("LIDAREMU_TESTS_BY_LOOPS", "")
 BY_ARRAYS = os.environ.get(switch.SWITCH) == "0"
@@ -38,6 +47,14 @@ def pytest_configure() -> None:
         return found()
 
     pair.kernels = counted
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _whole_scenarios_have_loops(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Before any fixture of the module runs one."""
+    whole = bool(FOLDER) and BY_ARRAYS and request.node.nodeid.startswith(WHOLE)
+    with switch.switched(True) if whole else nullcontext():
+        yield
 
 
 @pytest.hookimpl(wrapper=True)

@@ -62,11 +62,10 @@ class Slices:
         block_ns, turns = self._triggered(number, block_ns, period_ns, used, rotor)
         angle = np.rint(codec.FINE * codec.TURN_CDEG * turns).astype(np.int64) % (codec.FINE * codec.TURN_CDEG)
         states = model.states(number * count + np.arange(count), used.high)
+        laser_ns = model.instants(used.high)[states]
         sees = _seen(model, used, angle)
-        laser_ns = model.instants(used.high)[states[sees]]
-        fired = ~np.isnan(laser_ns)
-        fires = np.zeros((count, model.lasers), np.bool_)
-        fires[sees] = fired
+        fires = sees[:, None] & ~np.isnan(laser_ns)
+        fired, laser_ns = fires[sees], laser_ns[sees]
         fire_ns = block_ns[sees, None] + np.rint(np.nan_to_num(laser_ns)).astype(np.int64)
         at_turns = rotor.turns(fire_ns) if fire_ns.size else np.zeros(fire_ns.shape)
         azimuth, elevation = calibration.directions(model, at_turns, turns[sees, None])

@@ -80,9 +80,7 @@ def test_the_lock_holds_for_pages_and_for_sockets(server: LocalServer) -> None:
     ],
     ids=["post", "head", "old", "tls", "long", "many headers", "empty"],
 )
-def test_garbage_is_hung_up_and_the_page_stays(
-    server: LocalServer, garbage: bytes
-) -> None:
+def test_garbage_is_hung_up_and_the_page_stays(server: LocalServer, garbage: bytes) -> None:
     port = server.get_port()
     try:
         assert asked(port, garbage) == b""
