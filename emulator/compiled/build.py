@@ -72,7 +72,7 @@ def note_built(folders: set[str]) -> None:
     found = sorted(str(index) for folder in folders for index in Path(folder).glob("*.nbi"))
     path = note_path()
     with suppress(OSError):  # no folder that may be written to: the loops are not kept either
-        path.parent.mkdir(parents=True, exist_ok=True)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)  # `private_folder` wants it so for libraries there
         aside = path.with_suffix(f".{os.getpid()}")
         aside.write_text(json.dumps({"files": found}), encoding="utf-8")
         aside.replace(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from emulator.compiled import build
+from emulator.process.private_folder import private_folder
+from emulator.transports.shim import cache_folder
 
 
 @pytest.fixture
@@ -25,6 +28,16 @@ def test_without_a_note_loops_are_not_built(kept: Path) -> None:
     assert not build.built()
     build.note_built({str(kept)})
     assert build.built()
+
+
+def test_the_folder_of_the_note_is_one_in_which_the_preload_library_may_lie(kept: Path) -> None:
+    before = os.umask(0o022)
+    try:
+        build.note_built({str(kept)})
+    finally:
+        os.umask(before)
+    assert build.note_path().parent == cache_folder(os.environ)
+    assert private_folder(cache_folder(os.environ), "") == build.note_path().parent
 
 
 def test_a_compiled_file_that_has_gone_takes_the_note_with_it(kept: Path) -> None:
