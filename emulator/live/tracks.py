@@ -310,29 +310,49 @@ class World:
         return World(tuple(moved), self.gone)
 
     @cached_property
-    def _packed(self) -> tuple[Floats, list[tuple[Any, ...]], frozenset[str]]:
+    def _packed(self) -> Packed:
         """As it goes to other processes: all samples in one array, made once for all of them."""
-        tracks = [track for _, track in self.tracks]
-        columns = [np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS if tracks]
-        samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if tracks else np.zeros((0, 0))
-        rest = [(name, len(track.t_s), *(getattr(track, word) for word in _REST)) for name, track in self.tracks]
+        samples = np.zeros((sum(len(track.t_s) for _, track in self.tracks), WIDTH))
+        rest, begin = [], 0
+        for name, track in self.tracks:
+            mine = samples[begin : begin + len(track.t_s)]
+            begin += len(mine)
+            for column, known in zip(PLACES, COLUMNS, strict=True):
+                mine[:, column] = getattr(track, known)
+            rest.append((name, len(mine), *(getattr(track, word) for word in _REST)))
         return samples, rest, self.gone
 
-    def __reduce__(self) -> tuple[Callable[..., World], tuple[Any, ...]]:
-        return _unpacked, self._packed
+    def __reduce__(self) -> tuple[Callable[..., World], Packed]:
+        return Sampled, self._packed
 
 
+Packed = tuple[Floats, list[tuple[Any, ...]], frozenset[str]]
+PLACES: tuple[int | slice, ...] = (0, slice(1, 4), slice(4, 8), slice(8, 11), slice(11, 14), 14, 15)
+"Of `COLUMNS` in a sample."
+WIDTH = 16
 _REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
 
 
-def _unpacked(samples: Floats, rest: Sequence[tuple[Any, ...]], gone: frozenset[str]) -> World:
-    tracks, begin = [], 0
-    for name, count, *words in rest:
-        mine = samples[:, begin : begin + count]
-        begin += count
-        known = mine[0], mine[1:4].T, mine[4:8].T, mine[8:11].T, mine[11:14].T, mine[14] > 0.0, mine[15] > 0.0
-        tracks.append((name, Track(*known, *words)))
-    return World(tuple(tracks), gone)
+class Sampled(World):
+    """The same of samples in one array; its tracks are made when they are asked for."""
+
+    def __init__(self, samples: Floats, rest: list[tuple[Any, ...]], gone: frozenset[str]) -> None:
+        """`samples`: (n, `WIDTH`) of all tracks. `rest`: of each its name, how many are its own, its other fields."""
+        vars(self).update(_packed=(samples, rest, gone), gone=gone)
+
+    @cached_property
+    def tracks(self) -> tuple[tuple[str, Track], ...]:
+        """Each with its actor's name."""
+        samples, rest, _ = self._packed
+        t_s, at, turned, velocity, spin, jump, returns = (np.ascontiguousarray(samples[:, place]) for place in PLACES)
+        jumps, back = jump > 0.0, returns > 0.0
+        found, begin = [], 0
+        for name, count, *words in rest:
+            my = slice(begin, begin + count)
+            begin += count
+            known = t_s[my], at[my], turned[my], velocity[my], spin[my], jumps[my], back[my]
+            found.append((name, Track(*known, *words)))
+        return tuple(found)
 
 
 NOTHING = World()
