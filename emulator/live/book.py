@@ -19,7 +19,7 @@ import numpy as np
 from emulator.live.ages import Ages
 from emulator.live.rotations import Floats, Quaternion, Vector
 from emulator.live.samples import ActorSample, BadSample, Update, checked
-from emulator.live.tracks import BLEND_S, Between, Columns, Track, World
+from emulator.live.tracks import BLEND_S, WIDTH, Between, Sampled, World
 
 MOST_KEPT = 10_000
 "Samples of one actor; the oldest go, first those that no sweep can want."
@@ -42,9 +42,8 @@ JUMP_RAD_S = 2.0 * math.pi
 MOST_EVENTS = 1000
 MOST_TOLD = 20
 "Of one sort are reported; more are counted, so that a flood of one hides no other."
-AT, TURNED, VELOCITY, SPIN = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
-JUMP, RETURNS, WIDTH = 13, 14, 15
-"Columns of what is kept of a sample; NaN where the feeder gave none."
+JUMP, RETURNS = 13, 14
+"Columns of what is kept of a sample: its place, orientation, velocity, rate of turn, these; NaN where none was given."
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,7 @@ class _Known:
     first: ActorSample
     t_s: list[float] = field(default_factory=list)
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    "By the columns `AT` to `RETURNS`."
+    "As a `World` has it, without the instant."
     gone_s: float = np.inf
     forgot: bool = False
     "Its first samples are not kept any more."
@@ -324,11 +323,8 @@ class Book:
             off = math.hypot(ahead[0] - x, ahead[1] - y, ahead[2] - z)
             self.ages.truth_came(off, 2.0 * math.acos(min(1.0, dot)))
             return
-        was = self._track(known, known.t_s[-1])
-        if was is None:
-            return
         when = np.array([t_s])
-        at, turned_to = was.pose(when)
+        at, turned_to = self._of([("", known)], known.t_s[-1], np.inf, []).tracks[0][1].pose(when)
         off = float(np.sqrt(((at[0] - np.array(one.at_m)) ** 2).sum()))
         dot = abs(float(turned_to[0] @ np.array(turned)))
         self.ages.truth_came(off, 2.0 * float(np.arccos(min(1.0, dot))))
@@ -402,80 +398,56 @@ class Book:
 
     # ------------------------------------------------------------ what is asked
 
-    def _track(self, known: _Known, begin_s: float = -np.inf, end_s: float = np.inf) -> Track | None:
-        """What is needed from `begin_s` to `end_s`; None: it is not there then."""
-        span = self._span(known, begin_s, end_s)
-        return None if span is None else self._tracks([(known, *span)])[0][0]
-
-    def _span(self, known: _Known, begin_s: float, end_s: float) -> tuple[int, int] | None:
-        """The first of the samples of one that are needed then, and the one behind the last; None: it is not there."""
-        times = known.t_s
-        if begin_s >= min(known.gone_s, times[-1] + self._vanish_s(known)):
-            return None
-        if end_s < times[0] and not known.forgot:
-            return None
-        first = max(0, bisect_right(times, begin_s) - 2)
-        if known.returned_s > begin_s - BLEND_S:
-            first = max(0, bisect_right(times, begin_s - BLEND_S) - 2)
-        return first, min(len(times), bisect_right(times, end_s) + 1)
-
     def _vanish_s(self, known: _Known) -> float:
         """So long after its newest sample it is not there."""
-        removed = self.rules.silent_then == "remove" and not known.first.static
-        return self.rules.silent_after_s if removed else math.inf
+        ends = self.rules.silent_then == "remove" and not known.first.static
+        return self.rules.silent_after_s if ends else np.inf
 
-    def _tracks(self, wanted: Sequence[tuple[_Known, int, int]]) -> tuple[list[Track], Columns]:
-        """Of so many samples of each, and the columns of all of them, of which they are parts."""
-        times = [t_s for known, first, until in wanted for t_s in known.t_s[first:until]]
-        rows = [row for known, first, until in wanted for row in known.rows[first:until]]
-        table = np.fromiter(chain.from_iterable(rows), np.float64, len(rows) * WIDTH).reshape(-1, WIDTH)
-        t_s, jump, returns = np.array(times), table[:, JUMP] > 0.0, table[:, RETURNS] > 0.0
-        at, turned, velocity, spin = table[:, AT], table[:, TURNED], table[:, VELOCITY], table[:, SPIN]
-        rules, end, tracks = self.rules, 0, []
-        for known, first, until in wanted:
-            mine = slice(end, end := end + until - first)
-            one = known.first
-            tracks.append(
-                Track(
-                    t_s[mine],
-                    at[mine],
-                    turned[mine],
-                    velocity[mine],
-                    spin[mine],
-                    jump[mine],
-                    returns[mine],
-                    not known.forgot and first == 0,
-                    known.gone_s,
-                    rules.between,
-                    rules.silent_after_s,
-                    self._vanish_s(known) if until == len(known.t_s) else np.inf,
-                    one.reference,
-                    one.rear_m,
-                    one.size_m,
-                    known.shape,
-                    one.class_ or "",
-                )
+    def _of(self, lives: Iterable[tuple[str, _Known]], begin_s: float, end_s: float, gone: Iterable[str]) -> World:
+        """What is needed of these from `begin_s` to `end_s`."""
+        times: list[float] = []
+        rows: list[tuple[float, ...]] = []
+        rest, rules = [], self.rules
+        for name, known in lives:
+            when, one = known.t_s, known.first
+            from_s = begin_s - BLEND_S if known.returned_s > begin_s - BLEND_S else begin_s
+            first = max(0, bisect_right(when, from_s) - 2)
+            until = min(len(when), bisect_right(when, end_s) + 1)
+            times += when[first:until]
+            rows += known.rows[first:until]
+            words = (
+                not known.forgot and first == 0,
+                known.gone_s,
+                rules.between,
+                rules.silent_after_s,
+                self._vanish_s(known) if until == len(when) else np.inf,
+                one.reference,
+                one.rear_m,
+                one.size_m,
+                known.shape,
+                one.class_ or "",
             )
-        return tracks, (t_s, at, turned, velocity, spin, jump, returns)
+            rest.append((name, until - first, *words))
+        samples = np.zeros((len(rows), WIDTH))
+        if rows:
+            kept = np.fromiter(chain.from_iterable(rows), np.float64, len(rows) * (WIDTH - 1))
+            samples[:, 0], samples[:, 1:] = times, kept.reshape(len(rows), -1)
+        return Sampled(samples, rest, frozenset(gone))
 
     def world(self, begin_s: float, end_s: float, only: str | None = None) -> World:
         """Everything that beams from `begin_s` to `end_s` need; or of one actor alone."""
-        names: list[str] = []
-        there: list[tuple[_Known, int, int]] = []
+        found: list[tuple[str, _Known]] = []
         gone = []
         wanted = self._known if only is None else {only: self._known[only]} if only in self._known else {}
         for name, lives in wanted.items():
-            before = len(names)
+            before = len(found)
             for known in lives:
-                if (span := self._span(known, begin_s, end_s)) is not None:
-                    names.append(name)
-                    there.append((known, *span))
-            if len(names) == before and lives[0].t_s[0] <= begin_s:
+                ends_s = min(known.gone_s, known.t_s[-1] + self._vanish_s(known))
+                if begin_s < ends_s and (end_s >= known.t_s[0] or known.forgot):
+                    found.append((name, known))
+            if len(found) == before and lives[0].t_s[0] <= begin_s:
                 gone.append(name)
-        tracks, columns = self._tracks(there)
-        world = World(tuple(zip(names, tracks, strict=True)), frozenset(gone))
-        vars(world)["columns"] = columns  # where cached_property keeps them
-        return world
+        return self._of(found, begin_s, end_s, gone)
 
     def asked(self, beams_s: Floats, delay_s: float = 0.0) -> None:
         """A sweep with beams at these instants uses what is known by now."""

@@ -334,34 +334,52 @@ class World:
         return columns_of([track for _, track in self.tracks])
 
     @cached_property
-    def _packed(self) -> tuple[Floats, list[tuple[Any, ...]], frozenset[str]]:
+    def _packed(self) -> Packed:
         """As it goes to other processes: all samples in one array, made once for all of them."""
-        columns = self.columns if self.tracks else ()
-        samples = np.concatenate([np.atleast_2d(one.T) for one in columns]) if columns else np.zeros((0, 0))
+        samples = np.zeros((sum(len(track.t_s) for _, track in self.tracks), WIDTH))
+        if self.tracks:
+            for place, known in zip(PLACES, self.columns, strict=True):
+                samples[:, place] = known
         rest = [(name, len(track.t_s), *(getattr(track, word) for word in _REST)) for name, track in self.tracks]
         return samples, rest, self.gone
 
-    def __reduce__(self) -> tuple[Callable[..., World], tuple[Any, ...]]:
-        return _unpacked, self._packed
+    def __reduce__(self) -> tuple[Callable[..., World], Packed]:
+        return Sampled, self._packed
 
 
+Packed = tuple[Floats, list[tuple[Any, ...]], frozenset[str]]
+PLACES: tuple[int | slice, ...] = (0, slice(1, 4), slice(4, 8), slice(8, 11), slice(11, 14), 14, 15)
+"Of `COLUMNS` in a sample."
+WIDTH = 16
 _REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
 
 
-def _unpacked(samples: Floats, rest: Sequence[tuple[Any, ...]], gone: frozenset[str]) -> World:
-    if not rest:
-        return World((), gone)
-    t_s, jump, returns = samples[0], samples[14] > 0.0, samples[15] > 0.0
-    at, turned, velocity, spin = samples[1:4].T, samples[4:8].T, samples[8:11].T, samples[11:14].T
-    columns = t_s, at, turned, velocity, spin, jump, returns
-    tracks, end = [], 0
-    for name, count, *words in rest:
-        mine = slice(end, end := end + count)
-        known = t_s[mine], at[mine], turned[mine], velocity[mine], spin[mine], jump[mine], returns[mine]
-        tracks.append((name, Track(*known, *words)))
-    world = World(tuple(tracks), gone)
-    vars(world)["columns"] = columns  # where cached_property keeps them
-    return world
+class Sampled(World):
+    """The same of samples in one array; its tracks are made when they are asked for."""
+
+    def __init__(self, samples: Floats, rest: list[tuple[Any, ...]], gone: frozenset[str]) -> None:
+        """`samples`: (n, `WIDTH`) of all tracks. `rest`: of each its name, how many are its own, its other fields."""
+        vars(self).update(_packed=(samples, rest, gone), gone=gone)
+
+    @cached_property
+    def columns(self) -> Columns:
+        """All samples, one after the other, by `COLUMNS`."""
+        samples, _, _ = self._packed
+        t_s, at, turned, velocity, spin, jump, returns = (np.ascontiguousarray(samples[:, place]) for place in PLACES)
+        return t_s, at, turned, velocity, spin, jump > 0.0, returns > 0.0
+
+    @cached_property
+    def tracks(self) -> tuple[tuple[str, Track], ...]:
+        """Each with its actor's name."""
+        _, rest, _ = self._packed
+        t_s, at, turned, velocity, spin, jump, returns = self.columns
+        found, begin = [], 0
+        for name, count, *words in rest:
+            my = slice(begin, begin + count)
+            begin += count
+            known = t_s[my], at[my], turned[my], velocity[my], spin[my], jump[my], returns[my]
+            found.append((name, Track(*known, *words)))
+        return tuple(found)
 
 
 NOTHING = World()

@@ -9,7 +9,7 @@ time, whichever is first. In virtual time it is asked for at its end: all that w
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -31,19 +31,12 @@ from emulator.live.receivers import (
 )
 from emulator.live.samples import Update
 from emulator.live.tracks import NOTHING, World
+from emulator.runtime.lead import Lead
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
 from emulator.world.feed_record import book_of
 from protocols.scan import ScanPlan
 
-MARGIN_NS = 2_000_000
-"Beside what measuring has taken lately: the way there and back."
-FIRST_NS = 60_000_000
-"What measuring is taken to take before it is known."
-MARGIN = 1.15
-"Share of the longest that measuring has taken lately."
-FORGET = 0.98
-"Of that after each sweep: half of a stall is forgotten after 34."
 MOST_ASKED = 64
 BEFORE_S, LISTS_S = 0.005, 1.0
 "So long before a sweep poses are handed over; before a list of objects, which looks at sweeps of other sensors."
@@ -78,8 +71,9 @@ class Feeding:
         "Sensors whose sweep waits for poses -> its last beam."
         self._asked_ns: dict[str, dict[int, int]] = {}
         "By sensor: the beginnings of sweeps, and when each was asked for."
-        self._took: dict[str, float] = {}
-        "The longest that measuring has taken lately, by sensor. [ns]"
+        self._due_ns: dict[str, tuple[int, int]] = {}
+        "By sensor: the beginning of the sweep that it wants next, and when that is to be asked for."
+        self._leads: defaultdict[str, Lead] = defaultdict(Lead)
         self.on_update: Callable[[int, dict[str, object]], None] | None = None
         "Informed of everything that is used of the feed: for a recording."
         self._file: Iterator[Reported] | None = None
@@ -177,12 +171,10 @@ class Feeding:
             self._waiting.pop(sensor, None)
             return earliest_ns
         self._waiting[sensor] = last_ns
-        return max(earliest_ns, end_ns - self._takes_ns(sensor))
-
-    def _takes_ns(self, sensor: str) -> int:
-        """So long before it must be sent a sweep is asked for at the latest."""
-        took = self._took.get(sensor)
-        return MARGIN_NS + round(FIRST_NS if took is None else MARGIN * took)
+        due_ns = max(earliest_ns, end_ns - self._leads[sensor].ns)
+        if due_ns > self._real_ns():
+            self._due_ns[sensor] = plan.start_ns, due_ns
+        return due_ns
 
     def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
@@ -190,7 +182,7 @@ class Feeding:
         if asked_ns is not None and self._real_ns is not None:
             took = float(now_ns - asked_ns)
             self.book.ages.took.add_one(took * 1e-9)
-            self._took[sensor] = max(took, FORGET * self._took.get(sensor, 0.0))
+            self._leads[sensor].add(took)
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         """What its beams need, as it is known now."""
@@ -200,7 +192,9 @@ class Feeding:
             self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
         if self._real_ns is not None:
             asked = self._asked_ns.setdefault(sensor, {})
-            asked[plan.start_ns] = now_ns
+            start_ns, due_ns = self._due_ns.pop(sensor, (-1, now_ns))
+            # what the sender comes late to ask for it is part of what measuring takes
+            asked[plan.start_ns] = min(now_ns, due_ns) if start_ns == plan.start_ns else now_ns
             if len(asked) > MOST_ASKED:
                 del asked[min(asked)]
         self._waiting.pop(sensor, None)

@@ -189,7 +189,8 @@ def test_a_world_arrives_in_another_process_as_it_was() -> None:
     book = fed([(0.0, (0, 0, 0)), (0.1, (1, 2, 0)), (0.2, (90, 0, 0))], velocity=(1.0, 2.0, 0.0))
     book.take(Update(None, (), removed=("car",)), 300_000_000)
     book.take(Update(None, (ActorSample("car", (5, 0, 0), jump=True),)), 400_000_000)
-    for world in (book.world(0.0, 10.0), book.world(0.35, 0.36), World()):
+    known = book.world(0.0, 10.0)
+    for world in (known, World(known.tracks, known.gone), book.world(0.35, 0.36), World()):
         found = pickle.loads(pickle.dumps(world))
         assert found.gone == world.gone
         assert [name for name, _ in found.tracks] == [name for name, _ in world.tracks]
@@ -240,3 +241,13 @@ def test_what_tracks_of_one_world_are_is_what_each_of_them_is_alone() -> None:
     there = pickle.loads(pickle.dumps(world))
     for kept, made in zip(there.columns, columns_of([one for _, one in there.tracks]), strict=True):
         assert np.array_equal(kept, made, equal_nan=True)
+
+
+def test_what_a_sweep_was_given_stays_whatever_comes_before_it_is_looked_at() -> None:
+    book = fed([(0.0, (0, 0, 0)), (0.1, (1, 0, 0))])
+    given = book.world(0.0, 10.0)
+    book.take(Update(None, (ActorSample("car", (9, 0, 0)),)), 200_000_000)
+    book.take(Update(None, (), removed=("car",)), 300_000_000)
+    ((_, found),) = given.tracks
+    assert found.at_m[:, 0].tolist() == [0.0, 1.0]
+    assert found.gone_s == np.inf
