@@ -190,10 +190,12 @@ def out_of_valley(
         fall, at = max((air - behind) / bin_m, 0.0), start
         while True:
             swing = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
-            angle = np.arcsin(min(2.0 * fall / (wave_number * swing), 1.0))
+            steep, steepest = 2.0 * fall, wave_number * swing
+            rises = steep < steepest
+            angle = np.arcsin(steep / steepest if rises else 1.0)
             place = begin_m + (np.arctan2(imaginary[at], real[at]) + angle) / wave_number
             rise = 0.5 * (total[at] - swing) + swing * np.sin(0.5 * angle) ** 2
-            if at + 1 >= start + size or not begun[at + 1] < rise:
+            if at + 1 >= start + size or (rises and not begun[at + 1] < rise):
                 break
             at += 1
     air = part_under(place, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)

@@ -228,12 +228,15 @@ class Cosines:
             i = last[on]
             swing = np.hypot(self.real[i], self.imaginary[i])
             turn = np.arctan2(self.imaginary[i], self.real[i])
-            # the angle from the trough at which they rise so
-            angle = np.arcsin(np.minimum(2.0 * fall[on] / (k * swing), 1.0))
+            # the angle from the trough at which they rise so; where they never do, the steepest
+            steep, steepest = 2.0 * fall[on], k * swing
+            rises = steep < steepest
+            angle = np.arcsin(np.divide(steep, steepest, out=np.ones(len(on)), where=rises))
             place[on] = begin[on] + (turn + angle) / k
             rise[on] = 0.5 * (self.total[i] - swing) + swing * np.sin(0.5 * angle) ** 2
-            on = on[i + 1 < end[on]]
-            on = on[self.begun[last[on] + 1] < rise[on]]  # with one more pulse they rise so elsewhere
+            more = i + 1 < end[on]
+            on, rises = on[more], rises[more]
+            on = on[~rises | (self.begun[last[on] + 1] < rise[on])]  # with one more pulse they rise so elsewhere
             last[on] += 1
         return place, rise, last
 

@@ -180,7 +180,7 @@ class Receiver:
         return self._read_off(plan, given, self._detected(given, found, n, signals))
 
     def _read_at_once(self, beams: int, given: _Given, found: SubEchoes, without: Bools | None) -> Readings | None:
-        """Of all beams but some, by compiled loops; None: by arrays, step by step."""
+        """Of all beams but some, by compiled loops; None: with numpy arrays, step by step."""
         model = self._model
         if found.spread_m is not None or model.triangulation is not None:
             return None

@@ -52,6 +52,28 @@ def test_a_strong_echo_in_fog_is_crossed_where_its_sampled_waveform_is(
     np.testing.assert_allclose(fast.amplitude, whole.amplitude, rtol=2e-4, atol=2e-3)
 
 
+@pytest.mark.parametrize("deviations", [0.0, 3.8, 5.5])
+@pytest.mark.parametrize("little", [0.0, 1e-6, 1e-2])
+def test_what_sends_little_back_before_an_echo_leaves_its_place(
+    tmp_path: Path, little: float, deviations: float
+) -> None:
+    """Its pulse never rises as steeply as the fog before it falls."""
+    soft, detector = fog_of(tmp_path, "velodyne-vlp-16", 500.0)
+    n = 60
+    range_m, height = np.linspace(6.0, 12.0, n), np.tile([60.0, 400.0, 1e4], n // 3)
+    places = (range_m[:, None] + np.array([0.0, 0.02])).ravel()
+    both = np.stack([np.full(n, little), height], axis=1).ravel()
+    given = SubEchoes.of(np.arange(n).repeat(2), places, both, np.full(2 * n, 0.5), np.zeros(2 * n, np.int64))
+    normals = np.zeros((n, 4))
+    normals[np.arange(n), (height <= soft.peak).astype(int)] = deviations
+    fast, whole = (
+        detect(given, n, one, normals=normals, soft=soft) for one in (detector, replace(detector, sampled=True))
+    )
+    np.testing.assert_array_equal(np.isfinite(fast.range_m), np.isfinite(whole.range_m))
+    assert np.isfinite(fast.range_m).sum() >= n
+    np.testing.assert_allclose(fast.range_m, whole.range_m, atol=4e-3)
+
+
 @pytest.mark.parametrize("model", ["velodyne-vlp-16", "velodyne-vlp-32c", "ouster-os1-128", "sick-lms291-s05"])
 @pytest.mark.parametrize("visibility_m", [60.0, 500.0])
 @pytest.mark.parametrize("sun", [1.0, 1.7])
