@@ -21,7 +21,7 @@ _M1, _M2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 _30, _27, _31, _11, _21, _42 = (np.uint64(k) for k in (30, 27, 31, 11, 21, 42))
 _MASK, _TWO = np.uint64(2**21 - 1), np.uint64(2)
 OF_A_LEAF = 8
-"Beams of a leaf of the tree at the most, if their directions are not the same."
+"Beams of a leaf of the tree at the most."
 RUN = 64
 "Beams of a run by which two orders are compared."
 FAST_M_S = 8.0
@@ -110,7 +110,12 @@ def branches(key, order):
                     if place == end or key[order[place]] >> bits != key[order[begin]] >> bits:
                         nodes[count, 0], nodes[count, 1], shift[count] = begin, place, bits - 3
                         begin, count = place, count + 1
-                nodes[node, 3] = count
+            else:  # the same direction: halves of their order, which is that of their instants
+                middle = (first + end) // 2
+                nodes[count, 0], nodes[count, 1], shift[count] = first, middle, -3
+                nodes[count + 1, 0], nodes[count + 1, 1], shift[count + 1] = middle, end, -3
+                count += 2
+            nodes[node, 3] = count
         node += 1
     return nodes[:count].copy()
 

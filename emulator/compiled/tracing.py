@@ -1,4 +1,4 @@
-"""Bundles of narrow beams on what rests: cast, followed through panes and from mirrors, put in order, in one pass.
+"""Bundles of narrow beams on what rests or moves straight, in one pass: cast, followed through panes and from mirrors.
 
 Belongs here: what `paths.returned` and `through.Ways` do with arrays, of beams all of whose rays meet bodies at rest,
 from outside, of materials without a law of their own. All others are left to arrays. Not: the search (packets).

@@ -65,6 +65,9 @@ class WorldFeed(Protocol):
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
         """When that sweep is to be measured: as late as its device allows, unless all is known before."""
 
+    def knows(self, plan: ScanPlan) -> bool:
+        """Whether nothing newer will be known of what its beams need."""
+
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         """What its beams need, as it is known now."""
 
@@ -383,7 +386,7 @@ class Instrument:
         moved = False
         for scan in self._measuring.collect(self.sensor):
             self.stats.scans_measured += not isinstance(scan, NotMeasured)
-            if self.feed is not None:
+            if self.feed is not None and not isinstance(scan, NotMeasured):
                 self.feed.came(self.sensor, scan.plan, now_ns)
             moved = True
             if self._is_of_before(scan.plan):
@@ -448,7 +451,7 @@ class Instrument:
 
     def _may_queue(self, plan: ScanPlan) -> bool:
         """Whether all is known that its beams need: nothing newer comes while it waits for a process."""
-        return self.feed is None or self._ask_ns(plan) <= plan.start_ns - self._look_ahead_ns
+        return self.feed is None or self.feed.knows(plan)
 
     def _ask_ns(self, plan: ScanPlan) -> int:
         """When that sweep is asked for."""

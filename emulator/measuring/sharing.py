@@ -134,19 +134,25 @@ class Shared:
 
     def next_behind(self, home: Home, homes: Sequence[Home], pauses: Callable[[str], bool]) -> Sweep | None:
         """What waits in the pipe of a process behind the sweep in its hands, as `next_of`: nothing where either may
-        take long, nor before a question; of other processes' sweeps only where it has none of its own."""
+        take long, nor before a question; of other processes' sweeps only where it has none of its own.
+
+        Nor a shared one behind a sensor that remembers: that such a process stands still is noticed late, and another
+        could measure it.
+        """
 
         def is_short(sensor: str) -> bool:
             return not home.pace[sensor].fresh and 0 < home.pace[sensor].usual_ns <= QUEUED_NS
 
+        first = home.in_hand
+        if not isinstance(first, Sweep) or first.given_up or _is_stuck(home) or not is_short(first.sensor):
+            return None
+        held = first.sensor not in self.sensors and len(homes) > 1
+
         def fits(work: Sweep | Question) -> bool:
             if isinstance(work, Question) or (home.sensors and work.sensor not in home.sensors):
                 return False
-            return is_short(work.sensor)
+            return is_short(work.sensor) and not (held and work.sensor in self.sensors)
 
-        first = home.in_hand
-        if not isinstance(first, Sweep) or _is_stuck(home) or not is_short(first.sensor):
-            return None
         if not any(one.waiting for one in homes) or any(isinstance(one, Question) for one in home.owed):
             return None
         work = self.next_of(home, homes, pauses, fits)

@@ -176,6 +176,13 @@ class Feeding:
             self._due_ns[sensor] = plan.start_ns, due_ns
         return due_ns
 
+    def knows(self, plan: ScanPlan) -> bool:
+        """Whether all poses that its beams want are known: nothing newer comes for them."""
+        if self._real_ns is None or not len(plan):
+            return False
+        last_ns = plan.start_ns + round(1e9 * float(plan.fire_offset_s.max()))
+        return self._file is not None or self.book.newest_s * 1e9 >= last_ns
+
     def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
         asked_ns = self._asked_ns.get(sensor, {}).pop(plan.start_ns, None)

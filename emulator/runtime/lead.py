@@ -21,6 +21,8 @@ QUICK, SLOW = 1.0 / 8.0, 1.0 / 64.0
 "Share of the newest sweep in the mean, and in the mean square of what is off it."
 SPREADS = 3.5
 "Root mean squares over the mean. Of 6000 sweeps none is late whose times are spread by 2 to 8 %, 6 of 15 %."
+MOST_SPREADS = 4.0
+"Root mean squares: what is off by more moves the mean and the square by as much alone, so that a stall is forgotten."
 FORGET = 0.98
 "Of the most over the mean after each sweep: half of a stall is forgotten after 34."
 
@@ -33,15 +35,21 @@ class Lead:
         self._square = 0.0
         self._most_ns = 0.0
         "Over the mean, lately."
+        self._first_ns: float | None = None
+        "The first one, which fills tables, until it is known whether the next one takes as long."
 
     def add(self, took_ns: float) -> None:
         """One sweep has been measured, so long after it was to be asked for."""
-        if self._mean_ns is None:
+        first_ns, self._first_ns = self._first_ns, took_ns if self._mean_ns is None else None
+        if self._mean_ns is None or (first_ns is not None and took_ns < first_ns / 2.0):
             self._mean_ns, self._square = took_ns, (FIRST_SPREAD * took_ns) ** 2
+            self._most_ns = 0.0 if first_ns is None else FORGET * (first_ns - took_ns)
             return
         off_ns = took_ns - self._mean_ns
-        self._mean_ns += QUICK * off_ns
-        self._square += SLOW * (off_ns * off_ns - self._square)
+        room_ns = MOST_SPREADS * math.sqrt(self._square)
+        near_ns = max(-room_ns, min(room_ns, off_ns))
+        self._mean_ns += QUICK * near_ns
+        self._square += SLOW * (near_ns * near_ns - self._square)
         self._most_ns = max(off_ns, FORGET * self._most_ns)
 
     @property

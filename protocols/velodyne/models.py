@@ -79,7 +79,7 @@ class Model:
         return _fired_ns(length_ns, self.cycle_ns, self.laser_ns)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _fired_ns(length_ns: int, cycle_ns: int, laser_ns: tuple[int, ...]) -> NDArray[np.int64]:
     found: NDArray[np.int64] = np.arange(0, length_ns, cycle_ns)[:, None] + np.asarray(laser_ns)
     found.flags.writeable = False

@@ -196,10 +196,14 @@ def test_ahead_begins_nothing_that_does_not_go_forward() -> None:
 class Feed:
     """Moves the world; knows its future, or does not."""
 
-    knows = False
+    known = False
 
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
-        return earliest_ns if self.knows else earliest_ns + 1
+        """Its lead reaches back so far, or all is known."""
+        return earliest_ns
+
+    def knows(self, plan: ScanPlan) -> bool:
+        return self.known
 
     def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
         return NOTHING
@@ -218,7 +222,7 @@ class Busy(Pool):
 def test_what_is_asked_for_as_late_as_possible_waits_for_a_process_and_behind_no_sweep(knows: bool) -> None:
     pool, session, feed = Busy(), Foreseeing(), Feed()
     instrument = Instrument("front", session, [ListLink(LinkKind.SERIAL)], pool)
-    instrument.feed, feed.knows = feed, knows
+    instrument.feed, feed.known = feed, knows
     instrument.power_on(0)
     session.on = True
     instrument.step(1)

@@ -12,7 +12,7 @@ from emulator.process.clock import ManualClock
 from emulator.scenario.weather import WeatherConfig
 from protocols.scan import ScanPlan
 from tests.instrument.test_instrument import plan
-from tests.measuring.process_rig import MS, SECOND, Make, Played
+from tests.measuring.process_rig import MS, SECOND, Make, Played, Rig
 from tests.measuring.test_sharing import Pool
 
 TAKES_NS = 6 * MS
@@ -207,3 +207,26 @@ def test_a_sensor_keeps_what_its_own_process_can_begin_sooner(rig: Make) -> None
         run.advance(0.001)
         behind = run.workers._homes[of["heavy"]].behind
         assert behind is None or behind.sensor == "heavy"
+
+
+def test_behind_a_sensor_that_remembers_and_hangs_waits_none_that_another_process_could_measure() -> None:
+    rig = Rig("remembers", "b", "a", workers=2, shared=["a", "b"], slice_ns=2 * MS, builds_ns=100 * MS)
+    rig.takes_ns = 9 * MS
+    rig.stream()
+    home = rig.workers._home["remembers"]
+    assert "a" in home.sensors
+
+    def measures() -> bool:
+        waits = any(isinstance(one, Sweep) and one.sensor == "a" for one in home.owed)
+        return isinstance(home.in_hand, Sweep) and home.in_hand.sensor == "remembers" and not waits
+
+    for _ in range(6000):
+        rig.advance(0.002)
+        if measures():
+            break
+    assert measures()
+    rig.processes[rig.workers._homes.index(home)].stopped = True
+    late = rig.late("a")
+    rig.advance(1.5)
+    assert rig.late("a") - late <= 1
+    rig.close()

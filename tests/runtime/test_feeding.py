@@ -100,6 +100,23 @@ def test_an_even_machine_has_little_room_and_an_uneven_one_enough(spread: float,
     assert float(np.median(led)) < most * 16.0 * MS
 
 
+@pytest.mark.parametrize(
+    ("before", "stall_ms", "most"), [(0, 2000.0, 240), (500, 1000.0, 220), (500, 200.0, 140)],
+    ids=["the first one fills tables", "a second", "a fifth"],
+)  # fmt: skip
+def test_what_took_long_once_is_forgotten(before: int, stall_ms: float, most: int) -> None:
+    lead = Lead()
+    for took in [20.0 * MS] * before + [stall_ms * MS]:
+        lead.add(took)
+    assert lead.ns > 0.9 * stall_ms * MS, "the next one may take as long"
+    lead.add(20.0 * MS)
+    sweeps = 1
+    while lead.ns > 40.0 * MS:
+        lead.add(20.0 * MS)
+        sweeps += 1
+    assert sweeps < most
+
+
 def test_what_the_sender_comes_late_to_ask_for_is_part_of_what_measuring_takes() -> None:
     now = [900 * MS]
     found, _ = feeding("{feed: control, clock: {map: arrival}}", lambda: now[0])

@@ -377,10 +377,20 @@ def close_layers() -> Lines:
     return Lines(centre, axis, None, 5.0 + late, np.where(elevation < 0.0, 4.0, 12.0))
 
 
-def test_loops_find_the_particles_of_close_layers_that_arrays_find() -> None:
+def stare(speed_m_s: float, count: int = 400) -> Lines:
+    """Beams that all look the same way, of a sensor that drives across."""
+    t_s = np.linspace(0.0, 0.4, count)
+    centre = speed_m_s * t_s[:, None] * np.array([0.0, 1.0, 0.0])
+    return Lines(centre, np.tile([1.0, 0.0, 0.0], (count, 1)), None, 5.0 + t_s, np.full(count, 8.0))
+
+
+@pytest.mark.parametrize(
+    "lines", [close_layers(), stare(0.0), stare(15.0)], ids=["layers", "one way", "one way, driving"]
+)
+def test_loops_find_the_particles_of_beams_that_lie_close_that_arrays_find(lines: Lines) -> None:
     pytest.importorskip("numba")
     light = particle_light(sensor(named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0]))
-    of, lines, found = WorldParticles(3, "snow", light.sizes, 1.0, (2.0, -1.0, 0.0)), close_layers(), []
+    of, found = WorldParticles(3, "snow", light.sizes, 1.0, (2.0, -1.0, 0.0)), []
     for loops in (False, True):
         with switch.switched(loops):
             drawn = of.in_beams(light, lines)
