@@ -34,18 +34,18 @@ A_CELL = 1.0
 FLAT = 4.0
 "Width of a cell over its height: most scans are level."
 BUCKET = 4.0
-"By arrays: neighbouring beams that are looked at together span this many cells."
+"With numpy arrays: neighbouring beams that are looked at together span this many cells."
 PART = 8.0
 "By loops: neighbours in all directions that are looked at together span this many."
 WIDEST_RAD = 0.5
-"By arrays: and this angle at the most: what is near their chord is near them."
+"With numpy arrays: and this angle at the most: what is near their chord is near them."
 OCTAVE = 0.4
 "Ratio of the ranges between which beams keep their neighbours."
 MOST_PAIRS = 3_000_000
 """Cells that may be looked at in a sweep: a second or so. Beyond it particles are drawn for each beam alone.
 Loops share cells between layers, so they reach it later."""
 MOST_BOXES = 500_000
-"By arrays, of a class between two ranges: more hold more cells than may be looked at."
+"With numpy arrays, of a class between two ranges: more hold more cells than may be looked at."
 BOXES_KEPT = 400_000
 "Held from one sweep to the next: 40 MB."
 SLACK_M = 1e-5

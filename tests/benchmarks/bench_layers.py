@@ -1,6 +1,7 @@
 """What a slice of a lidar of many layers costs: to measure, processor time a beam, and to encode and send, a packet.
 
     python tests/benchmarks/bench_layers.py [SLICES [MODEL ...]]
+    python tests/benchmarks/bench_layers.py drive [MODEL ...]
 
 Measuring: scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a
 beam. Processor time of this process, the best of five runs of each slice: it bears a machine with other work on it.
@@ -15,6 +16,9 @@ Packets: of what one ray a beam has measured, by profile or return mode. Encodin
 scan and its emissions: choosing returns, units, instants, and packing: bytes and checks; the best slice. As in the
 sending process nothing is measured meanwhile: a scan comes out of a pickle, as through a worker's pipe. Sending is that
 of the UDP link, to a socket of this machine.
+
+Drive: slices of the whole scenario, a hundred of them at even distances, the best of five runs of each: the cost
+changes with what is near, so its mean over the drive says whether a sensor keeps up, not that of the first slices.
 
 Split: wall time of slices, handed to one measuring process and to two; of a quiet machine with a core for each.
 """
@@ -69,6 +73,8 @@ DATA = ("lidar", "data")
 "Labels of packets that carry measurements."
 OFTEN = 20
 "Slices that are encoded, of each profile."
+OF_A_DRIVE = 100
+"Slices of a drive that are measured."
 FINE = 100_000
 "Triangles at least of the finer street."
 
@@ -222,6 +228,24 @@ def measuring(model: str, count: int) -> None:
             )
 
 
+def driving(model: str) -> None:
+    """Print what slices of the whole drive cost, with loops where there are any."""
+    period_ns = np.diff([one.start_ns for one in plans_of(model, 2)])[0]
+    plans = plans_of(model, int(1e9 * scenario.load(str(STREET)).duration_s / period_ns))
+    period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (len(plans) - 1)
+    chosen = plans[:: max(1, len(plans) // OF_A_DRIVE)]
+    for case in (CLEAR, WETTEST):
+        measure = assembly.build_measures(street(model, case))["roof"]
+        measure(chosen[0])
+        took = 1e3 * np.array([best_s(measure, plan) for plan in chosen])
+        print(
+            f"{model}; {case}; {1e3 * period_s:.2f}; {took.mean():.2f}; {np.median(took):.2f};"
+            f" {np.percentile(took, 90):.2f}; {took.max():.2f}; {1e3 * period_s / took.mean():.2f};"
+            f" {1e3 * took.mean() / len(chosen[0]):.2f}",
+            flush=True,
+        )
+
+
 def beside(model: str, count: int) -> None:
     """Print what a cast of the same rays costs with other libraries, in the street and in one of `FINE` triangles."""
     loaded = street(model, ONE_RAY)
@@ -276,6 +300,11 @@ def splitting(model: str, count: int) -> None:
 
 
 def main() -> None:
+    if sys.argv[1:2] == ["drive"]:
+        print("drive: model; case; slice ms; mean ms; median; 90 %; worst; share of real time; us/beam")
+        for model in sys.argv[2:] or list(MODELS):
+            driving(model)
+        return
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     models = sys.argv[2:] or list(MODELS)
     print("packets: model; profile or return mode; size; packets; processor time of a packet, the best")
