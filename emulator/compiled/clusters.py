@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from emulator.compiled.arithmetic import arc_sine_of_root, short_cos_sin
+from emulator.compiled.arithmetic import short_cos_sin
 from emulator.compiled.jit import FLAGS, FLOAT, FLOATS, INT_ROWS, INTS, compiled
 
 
@@ -146,8 +146,7 @@ def cross(level, start, size, first_m, begun, total, real, imaginary, half_m, wa
         swing, turn = np.hypot(real[at], imaginary[at]), np.arctan2(imaginary[at], real[at])
     # the angle from the trough, which keeps its digits for a level far below the maximum
     share = min(max((2.0 * level - total[at] + swing) / (2.0 * swing), 0.0), 1.0)
-    rest = min(max((swing + total[at] - 2.0 * level) / (2.0 * swing), 0.0), 1.0)
-    rise = 2.0 * arc_sine_of_root(share, rest)
+    rise = 2.0 * np.arcsin(np.sqrt(share))  # as numpy rounds it: near the maximum what is taken off again must match
     return first_m + turn / wave_number - half_m + rise / wave_number, at
 
 
