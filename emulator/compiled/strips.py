@@ -15,7 +15,7 @@ from emulator.compiled.jit import FLOAT, FLOATS, INTS, ROWS, TURNS, WORDS, compi
 
 @compiled()
 def reflected(lambert, sheen, even, gloss, fresnel, roughness, cosine):
-    """See `SurfaceTable.back`: numbers of one material. An array would be counted anew for every ray."""
+    """See `SurfaceTable.back`: numbers of one material. The references of an array would be counted for every ray."""
     c = min(abs(cosine), 1.0)
     back = lambert * c + sheen * (1.0 - c * c) + even
     if gloss > 0.0:  # see `brdf.ggx_cos`

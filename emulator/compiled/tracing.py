@@ -239,11 +239,11 @@ def traced(
             for axis in range(3):
                 forward, left, up = frame[0, axis, i], frame[1, axis, i], frame[2, axis, i]
                 here, mine = place[axis, i] - centre[axis], slice(base, base + m)
-                to, by = rays[X + axis, mine], rays[AHEAD + axis, mine]
+                starts_of, ways_of = rays[X + axis, mine], rays[AHEAD + axis, mine]
                 for p in range(m):
-                    to[p] = here + left * aim[3, p] + up * aim[4, p]
+                    starts_of[p] = here + left * aim[3, p] + up * aim[4, p]
                 for p in range(m):
-                    by[p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
+                    ways_of[p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
             for p in range(m):
                 rays[WEIGHT, base + p], rays[LENGTH, base + p], rays[DEPTH, base + p] = weight[i] * share[p], 0.0, 0.0
                 rays[AIR, base + p], rays[TIME, base + p] = share[p], t_s[i]
@@ -461,10 +461,10 @@ def traced(
             else:
                 keys = key[first:last]
                 for place_ in range(last - first):
-                    this, before = keys[place_], 0
+                    this, earlier = keys[place_], 0
                     for other in range(last - first):
-                        before += keys[other] < this
-                    ranked[first + before] = place_of[first + place_]
+                        earlier += keys[other] < this
+                    ranked[first + earlier] = place_of[first + place_]
             for to in range(first, last):
                 k = ranked[to]
                 whole[0, made + to], whole[1, made + to] = at[begin + one], own_tag[1, k]
