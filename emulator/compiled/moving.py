@@ -131,24 +131,38 @@ def _narrowed(low, high, place, along, half):
 
 
 @compiled()
-def _through(rows, ray, r, n, known_m, times, origin, at, velocity, since, turned, centre, reach, half, far, mover):
-    """Whether rays r to r + n come into the sphere and the box of a body that moves straight, before what they met.
+def _even(rows, r, n, times, origin, at, velocity, since, mover):
+    """Origins of rays r to r + n as seen from that of a body that moves straight, in the world."""
+    when, moment = times[r : r + n], since[mover]
+    for axis in range(3):
+        to, start, place, speed = rows[axis, :n], origin[axis, r : r + n], at[axis, mover], velocity[axis, mover]
+        for i in range(n):
+            to[i] = start[i] - place - (when[i] - moment) * speed
 
-    Rows of (16, .): origins about the body's, in the world; where they enter and leave the sphere, less than nothing
+
+@compiled()
+def _placed(rows, r, n, origin, at, column):
+    """The same of a body that is there at the instant of them all."""
+    for axis in range(3):
+        to, start, place = rows[axis, :n], origin[axis, r : r + n], at[axis, column]
+        for i in range(n):
+            to[i] = start[i] - place
+
+
+@compiled()
+def _through(rows, ray, r, n, known_m, turned, column, centre, reach, half, far, mover):
+    """Whether rays r to r + n come into the sphere and the box of a body before what they met; `column` of its pose.
+
+    Rows of (15, .): origins about the body's, in the world; where they enter and leave the sphere, less than nothing
     where they do not; origins and directions in its frame.
     """
     x, y, z, middle, chord, enter, leave = (
         rows[0, :n], rows[1, :n], rows[2, :n], rows[3, :n], rows[4, :n], rows[5, :n], rows[6, :n]
     )  # fmt: skip
-    dx, dy, dz, when = ray[0, r : r + n], ray[1, r : r + n], ray[2, r : r + n], times[r : r + n]
-    for axis in range(3):
-        to, start, place = rows[axis, :n], origin[axis, r : r + n], at[axis, mover]
-        speed, moment = velocity[axis, mover], since[mover]
-        for i in range(n):
-            to[i] = start[i] - place - (when[i] - moment) * speed
-    xx, xy, xz = turned[0, 0, mover], turned[0, 1, mover], turned[0, 2, mover]
-    yx, yy, yz = turned[1, 0, mover], turned[1, 1, mover], turned[1, 2, mover]
-    zx, zy, zz = turned[2, 0, mover], turned[2, 1, mover], turned[2, 2, mover]
+    dx, dy, dz = ray[0, r : r + n], ray[1, r : r + n], ray[2, r : r + n]
+    xx, xy, xz = turned[0, 0, column], turned[0, 1, column], turned[0, 2, column]
+    yx, yy, yz = turned[1, 0, column], turned[1, 1, column], turned[1, 2, column]
+    zx, zy, zz = turned[2, 0, column], turned[2, 1, column], turned[2, 2, column]
     cx, cy, cz = centre[0, mover], centre[1, mover], centre[2, mover]
     # of the sphere's centre, seen from the body's origin
     sx, sy, sz = xx * cx + xy * cy + xz * cz, yx * cx + yy * cy + yz * cz, zx * cx + zy * cy + zz * cz
@@ -173,7 +187,7 @@ def _through(rows, ray, r, n, known_m, times, origin, at, velocity, since, turne
         return False
     for axis in range(3):
         place, along = rows[7 + axis, :n], rows[10 + axis, :n]
-        a, b, c, d = turned[0, axis, mover], turned[1, axis, mover], turned[2, axis, mover], centre[axis, mover]
+        a, b, c, d = turned[0, axis, column], turned[1, axis, column], turned[2, axis, column], centre[axis, mover]
         for i in range(n):
             place[i] = a * x[i] + b * y[i] + c * z[i] - d
         for i in range(n):
@@ -182,36 +196,6 @@ def _through(rows, ray, r, n, known_m, times, origin, at, velocity, since, turne
     low[:], high[:] = -np.inf, np.inf
     for axis in range(3):
         _narrowed(low, high, rows[7 + axis, :n], rows[10 + axis, :n], half[axis, mover])
-    return True
-
-
-@compiled()
-def _bent(rows, ray, r, known_m, origin, at, turned, column, centre, reach, half, far, mover):
-    """The same of one ray, by the body's pose at its instant."""
-    matrix, here, way = turned[:, :, column], rows[:3, 0], ray[:, r]
-    for axis in range(3):
-        here[axis] = origin[axis, r] - at[axis, column]
-    middle = square = 0.0
-    for axis in range(3):
-        rows[7 + axis, 0], rows[10 + axis, 0] = -centre[axis, mover], 0.0
-        for other in range(3):
-            rows[7 + axis, 0] += matrix[other, axis] * here[other]
-            rows[10 + axis, 0] += matrix[other, axis] * way[other]
-    for axis in range(3):
-        middle -= rows[7 + axis, 0] * rows[10 + axis, 0]
-    for axis in range(3):
-        away = rows[7 + axis, 0] + middle * rows[10 + axis, 0]
-        square += away * away
-    chord = reach[mover] * reach[mover] - square
-    wide = np.sqrt(max(chord, 0.0))
-    enter, leave = max(middle - wide, 0.0), middle + wide
-    rows[5, 0], rows[6, 0] = enter, leave
-    if not (chord > 0.0 and leave > 0.0 and enter <= far and enter < known_m[r]):
-        return False
-    low, high = rows[13, :1], rows[14, :1]
-    low[0], high[0] = -np.inf, np.inf
-    for axis in range(3):
-        _narrowed(low, high, rows[7 + axis, :1], rows[10 + axis, :1], half[axis, mover])
     return True
 
 
@@ -272,15 +256,16 @@ def cross(
         if home[mover] != structure:
             pair += 1
             continue
+        while n < TOGETHER and pair + n < k and which[pair + n] == mover and rays[pair + n] == r + n:
+            if len(bent) and bent[pair + n] != column:
+                break
+            n += 1
         if column >= 0:
-            some = _bent(rows, ray, r, range_m, origin, bent_at, bent_turned, column, centre, reach, half, far, mover)
+            _placed(rows, r, n, origin, bent_at, column)
+            some = _through(rows, ray, r, n, range_m, bent_turned, column, centre, reach, half, far, mover)
         else:
-            while n < TOGETHER and pair + n < k and which[pair + n] == mover and rays[pair + n] == r + n:
-                if len(bent) and bent[pair + n] >= 0:
-                    break
-                n += 1
-            some = _through(rows, ray, r, n, range_m, times, origin, at, velocity, since, turned, centre, reach, half,
-                            far, mover)  # fmt: skip
+            _even(rows, r, n, times, origin, at, velocity, since, mover)
+            some = _through(rows, ray, r, n, range_m, turned, mover, centre, reach, half, far, mover)
         pair += n
         for i in range(n if some else 0):
             enter, leave = rows[5, i], rows[6, i]

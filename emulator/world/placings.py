@@ -60,14 +60,13 @@ class Bounds:
     """Of each track of a world: the box of its samples and how far from it the track may be."""
 
     def __init__(self, world: World) -> None:
-        tracks = [track for _, track in world.tracks]
-        self._of = {id(track): number for number, track in enumerate(tracks)}
-        if not tracks:
+        self._of = {id(track): number for number, (_, track) in enumerate(world.tracks)}
+        if not self._of:
             return
-        sizes = np.array([len(track.t_s) for track in tracks])
+        sizes = np.array(world.rest[1])
         firsts = np.cumsum(sizes) - sizes
-        t_s, at = (np.concatenate([getattr(track, name) for track in tracks]) for name in ("t_s", "at_m"))
-        given = np.nan_to_num(np.concatenate([track.velocity_m_s for track in tracks]))
+        t_s, at, _, velocity, *_ = world.columns
+        given = np.nan_to_num(velocity)
         step, way = np.zeros(len(t_s)), np.zeros(len(t_s))
         step[1:], way[1:] = np.diff(t_s), np.linalg.norm(np.diff(at, axis=0), axis=1)
         step[firsts], way[firsts] = 0.0, 0.0
@@ -78,8 +77,8 @@ class Bounds:
         self._middle = low + (high - low) / 2.0
         self._half = np.linalg.norm(high - low, axis=1) / 2.0
         self._last = t_s[firsts + sizes - 1]
-        self._hold = np.array([track.hold_after_s for track in tracks])
-        self._half[[track.comes_back for track in tracks]] = np.inf
+        self._hold = np.array([track.hold_after_s for _, track in world.tracks])
+        self._half[world.natures.comes_back] = np.inf
 
     def spheres(self, tracks: Sequence[Track], end_s: float) -> tuple[Floats, Floats]:
         """Centres (k, 3) and radii (k,) that hold the reference points of tracks until `end_s`."""
