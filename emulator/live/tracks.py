@@ -8,7 +8,7 @@ A track goes with the plan of a sweep to whoever measures it, so that a sweep de
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -31,6 +31,8 @@ from emulator.live.rotations import (
 Between = Literal["interpolate", "extrapolate", "hold"]
 BLEND_S = 0.2
 "Over so long an actor comes back to its track when its feed returns."
+FEW_SAMPLES = 32
+"Of a track: more are searched, fewer compared with all instants at once."
 
 
 @dataclass(eq=False)
@@ -114,10 +116,6 @@ class Track:
         beyond = 0.0 if math.isnan(self.velocity_m_s[-1, 0]) else self.hold_after_s
         return float(self.t_s[0]), min(self.last_s + beyond, self.lasts_s)
 
-    def is_there(self, begin_s: float, end_s: float) -> bool:
-        """It is, all the time."""
-        return end_s < self.lasts_s and (not self.begins or begin_s >= float(self.t_s[0]))
-
     def there(self, t_s: Floats) -> NDArray[np.bool_]:
         """(n,) whether it is there."""
         until = t_s < self.lasts_s
@@ -146,7 +144,13 @@ class Track:
         return at, quaternion
 
     def _on_track(self, t_s: Floats) -> tuple[Floats, Floats]:
-        return together([self], t_s)
+        return together(self._knots, t_s)
+
+    @property
+    def _knots(self) -> Knots:
+        columns = tuple(getattr(self, name) for name in COLUMNS)
+        firsts, sizes = np.zeros(1, np.int64), np.array([len(self.t_s)])
+        return Knots(columns, firsts, sizes, np.array([self.hold_after_s]), self.between)
 
     def velocity(self, t_s: Floats) -> Floats:
         """(n, 3) in the world. [m/s]"""
@@ -197,61 +201,83 @@ def natures_of_tracks(tracks: Sequence[Track], columns: Columns | None = None) -
     )
 
 
-def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
-    """Poses of several tracks, of one rule `between`, at the same n instants, one after the other: (m n, 3), (m n, 4).
+@dataclass(frozen=True, eq=False)
+class Knots:
+    """Samples of m tracks of one rule."""
+
+    columns: Columns
+    "As `COLUMNS`; there may be others among them."
+    firsts: NDArray[np.int64]
+    "(m,) where the samples of each begin."
+    sizes: NDArray[np.int64]
+    "(m,) how many they are."
+    hold_s: Floats
+    "(m,) `hold_after_s` of each."
+    between: Between
+
+    def latest(self, t_s: Floats) -> NDArray[np.int64]:
+        """(m, n) the latest sample of each at instants (n,); before its first one that."""
+        when = self.columns[0]
+        if int(self.sizes.max()) > FEW_SAMPLES:
+            samples = zip(self.firsts.tolist(), self.sizes.tolist(), strict=True)
+            passed = np.array([when[first : first + size].searchsorted(t_s, side="right") for first, size in samples])
+        else:
+            starts = self.sizes.cumsum() - self.sizes
+            rows = np.arange(int(self.sizes.sum())) + (self.firsts - starts).repeat(self.sizes)
+            passed = np.add.reduceat(when[rows][:, None] <= t_s, starts, axis=0, dtype=np.int64)
+        return np.asarray(np.maximum(passed - 1, 0) + self.firsts[:, None])
+
+
+def together(knots: Knots, t_s: Floats) -> tuple[Floats, Floats]:
+    """Poses of m tracks at the same n instants, one after the other: (m n, 3), (m n, 4).
 
     Without the way back of a feed that returns.
     """
-    knots = {name: np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS}
-    sizes = np.array([len(track.t_s) for track in tracks])
-    firsts = np.cumsum(sizes) - sizes
+    when, at_m, turned, velocity, _, jump, returns = knots.columns
     count = len(t_s)
-    index = np.concatenate([np.searchsorted(track.t_s, t_s, side="right") - 1 for track in tracks])
-    index = np.maximum(index, 0) + firsts.repeat(count)
-    last = (firsts + sizes - 1).repeat(count)
-    times, at_m, jump = np.tile(t_s, len(tracks)), knots["at_m"], knots["jump"]
-    when = knots["t_s"]
+    index = knots.latest(t_s).ravel()
+    last = (knots.firsts + knots.sizes - 1).repeat(count)
+    times = np.tile(t_s, len(knots.firsts))
+    late = times > when[index]
+    inside = (index < last) & late
     after = np.minimum(index + 1, last)
-    inside = (index < last) & (times > when[index])
     frozen = inside & jump[after]
-    stays = frozen | (inside & knots["returns"][after])
-    between = tracks[0].between
-    inside = inside & ~stays if between == "interpolate" else np.zeros(len(times), bool)
-    at, quaternion = at_m[index], knots["quaternion"][index]
+    inside = inside & ~(frozen | returns[after]) if knots.between == "interpolate" else np.zeros(len(times), bool)
+    at, quaternion = at_m[index], turned[index]
     rows = np.flatnonzero(inside)
     if len(rows):
         before, beyond = index[rows], after[rows]
         span = when[beyond] - when[before]
         share = (times[rows] - when[before]) / span
-        velocity = knots["velocity_m_s"]
         at[rows] = hermite(at_m[before], at_m[beyond], velocity[before], velocity[beyond], span, share)
-        turns = np.flatnonzero((knots["quaternion"][before] != knots["quaternion"][beyond]).any(axis=1))
+        turns = np.flatnonzero((turned[before] != turned[beyond]).any(axis=1))
         if len(turns):
             there = rows[turns]
-            quaternion[there] = slerp(quaternion[there], knots["quaternion"][beyond[turns]], share[turns])
-    rows = np.flatnonzero(~inside & ~frozen & (times > when[index])) if between != "hold" else rows[:0]
+            quaternion[there] = slerp(quaternion[there], turned[beyond[turns]], share[turns])
+    rows = np.flatnonzero(~inside & ~frozen & late) if knots.between != "hold" else rows[:0]
     if len(rows):
         used, inverse = np.unique(index[rows], return_inverse=True)
-        velocity, spin = _twists(knots, used, np.isin(used, firsts))
-        hold_s = np.array([track.hold_after_s for track in tracks]).repeat(count)[rows]
-        span = np.minimum(times[rows] - when[index[rows]], hold_s)
-        at[rows] += travelled(velocity[inverse], spin[inverse], span)
-        quaternion[rows] = product(of_vector(span[:, None] * spin[inverse]), quaternion[rows])
+        speed, spin = _twists(knots.columns, used, np.isin(used, knots.firsts))
+        span = np.minimum(times[rows] - when[index[rows]], knots.hold_s.repeat(count)[rows])
+        at[rows] += travelled(speed[inverse], spin[inverse], span)
+        if spin.any():
+            quaternion[rows] = product(of_vector(span[:, None] * spin[inverse]), quaternion[rows])
     return at, quaternion
 
 
-def _twists(
-    knots: Mapping[str, NDArray[Any]], used: NDArray[np.int64], first: NDArray[np.bool_]
-) -> tuple[Floats, Floats]:
+def _twists(columns: Columns, used: NDArray[np.int64], first: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """Velocities and angular velocities at samples: as given, else from each and the one before, else 0."""
+    when, at_m, turned, velocity, spin, jump, returns = columns
     before = np.maximum(used - 1, 0)
-    known = ~first & ~knots["jump"][used] & ~knots["returns"][used]
-    step = np.where(known, knots["t_s"][used] - knots["t_s"][before], 1.0)[:, None]
-    moved = np.where(known[:, None], (knots["at_m"][used] - knots["at_m"][before]) / step, 0.0)
-    turn = to_vector(product(knots["quaternion"][used], conjugate(knots["quaternion"][before])))
-    turned = np.where(known[:, None], turn / step, 0.0)
-    velocity, spin = knots["velocity_m_s"][used], knots["spin_rad_s"][used]
-    return np.where(np.isnan(velocity), moved, velocity), np.where(np.isnan(spin), turned, spin)
+    known = ~first & ~jump[used] & ~returns[used]
+    step = np.where(known, when[used] - when[before], 1.0)[:, None]
+    moved = np.where(known[:, None], (at_m[used] - at_m[before]) / step, 0.0)
+    turn = to_vector(product(turned[used], conjugate(turned[before])))
+    turning = np.where(known[:, None], turn / step, 0.0)
+    return (
+        np.where(np.isnan(velocity[used]), moved, velocity[used]),
+        np.where(np.isnan(spin[used]), turning, spin[used]),
+    )
 
 
 def _smooth(share: float) -> float:
@@ -309,18 +335,43 @@ class World:
     @cached_property
     def natures(self) -> Natures:
         """What kind of motion each of at least one track is."""
-        interpolated = np.array([one == "interpolate" for one in self.rest[2 + _REST.index("between")]])
+        interpolated = self._column("between") == "interpolate"
         return natures_of(self.columns, self.rest[1], interpolated)
 
     @cached_property
     def straight_s(self) -> tuple[Floats, Floats]:
         """(m,) from when, and until when, each of at least one track is straight, where it is."""
-        begins, gone_s, _, hold_s, vanish_s, *_ = self.rest[2:]
-        known = self.natures
-        lasts_s = np.minimum(gone_s, known.last_s + vanish_s)
-        beyond = known.last_s + np.where(known.known_last, hold_s, 0.0)
-        begin_s = np.where(known.rests & ~np.array(begins), -np.inf, known.first_s)
+        known, (from_s, lasts_s) = self.natures, self.there_s
+        beyond = known.last_s + np.where(known.known_last, self._column("hold_after_s"), 0.0)
+        begin_s = np.where(known.rests, from_s, known.first_s)
         return begin_s, np.where(known.rests, lasts_s, np.minimum(beyond, lasts_s))
+
+    @cached_property
+    def there_s(self) -> tuple[Floats, Floats]:
+        """(m,) from when, and until when, each of at least one track is there."""
+        known = self.natures
+        lasts_s = np.minimum(self._column("gone_s"), known.last_s + self._column("vanish_after_s"))
+        return np.where(self._column("begins"), known.first_s, -np.inf), lasts_s
+
+    def _column(self, word: str) -> NDArray[Any]:
+        return np.array(self.rest[2 + _REST.index(word)])
+
+    def is_whole(self, number: int, begin_s: float, end_s: float) -> bool:
+        """That track is there all the time, and its feed does not return in it."""
+        from_s, until_s = self.there_s
+        return bool(from_s[number] <= begin_s and end_s < until_s[number] and not self.natures.comes_back[number])
+
+    @cached_property
+    def knots(self) -> Knots:
+        """Samples of at least one track."""
+        sizes = np.array(self.rest[1])
+        between = self.rest[2 + _REST.index("between")][0]
+        return Knots(self.columns, sizes.cumsum() - sizes, sizes, self._column("hold_after_s"), between)
+
+    def knots_of(self, numbers: NDArray[np.int64]) -> Knots:
+        """The same of some of them."""
+        every = self.knots
+        return Knots(every.columns, every.firsts[numbers], every.sizes[numbers], every.hold_s[numbers], every.between)
 
     def look(self) -> None:
         """Find out at once what kind of motion each track is."""

@@ -254,12 +254,12 @@ class Fed(Motion):
         placed = own.position(zero)[0], own.velocity(zero)[0], 0.0, own.rotation(zero)[0]
         return Straight(*placed, -math.inf, math.inf)
 
-    def whole_track(self, times: Floats) -> Track | None:
-        """The only one that it has at all of these instants, ascending; None: there is more to it."""
-        tracks = self._mine()
-        if len(tracks) != 1 or not len(times) or tracks[0].comes_back:
+    def whole_track(self, times: Floats) -> int | None:
+        """Number of the only one that it has at all of these instants, ascending; None: there is more to it."""
+        mine = self.numbers
+        if len(mine) != 1 or not len(times):
             return None
-        return tracks[0] if tracks[0].is_there(float(times[0]), float(times[-1])) else None
+        return mine[0] if self.now.world.is_whole(mine[0], float(times[0]), float(times[-1])) else None
 
     @property
     def present(self) -> FedNow:

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from emulator.live.tracks import Track, World, together
+from emulator.live.tracks import World, together
 from emulator.physics.arrays import indexes
 from emulator.world.motion import Floats, Vector, matrix_of
 
@@ -29,30 +29,30 @@ class Body(Protocol):
     def offset(self) -> Vector:
         """From the feeder's reference point to the origin, in the body's axes."""
 
-    def whole_track(self, times: Floats) -> Track | None:
-        """The only one that it has at all of these instants; None: there is more to it."""
+    def whole_track(self, times: Floats) -> int | None:
+        """Number of the only track that it has at all of these instants; None: there is more to it."""
 
     def found(self, times: Floats) -> tuple[Floats, Floats]:
         """Positions (n, 3) and rotations (n, 3, 3)."""
 
 
-def _poses(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
-    """Reference points (3, m, n) and rotations (3, 3, m, n); what does not turn is turned once."""
-    n = len(t_s)
-    place, rotation = np.zeros((3, len(tracks), n)), np.zeros((3, 3, len(tracks), n))
-    first = matrix_of(np.array([track.quaternion[0] for track in tracks])).transpose(1, 2, 0)
-    rotation[:] = first[..., None]
-    place[:] = np.array([track.at_m[0] for track in tracks]).T[..., None]
-    moving = [number for number, track in enumerate(tracks) if not track.rests]
-    if not moving:
+def _poses(world: World, numbers: Sequence[int], t_s: Floats) -> tuple[Floats, Floats]:
+    """Reference points (3, m, n) and rotations (3, 3, m, n) of its tracks; what does not turn is turned once."""
+    n, known = len(t_s), world.natures
+    chosen = np.array(numbers, np.int64)
+    place, rotation = np.zeros((3, len(chosen), n)), np.zeros((3, 3, len(chosen), n))
+    rotation[:] = matrix_of(known.first_quaternion[chosen]).transpose(1, 2, 0)[..., None]
+    moving = indexes(~known.rests[chosen])
+    if len(moving) < len(chosen):
+        place[:] = known.first_at_m[chosen].T[..., None]
+    if not len(moving):
         return place, rotation
-    at, quaternion = together([tracks[number] for number in moving], t_s)
+    at, quaternion = together(world.knots_of(chosen[moving]), t_s)
     place[:, moving] = at.reshape(-1, n, 3).transpose(2, 0, 1)
-    turning = [row for row, number in enumerate(moving) if tracks[number].turns]
-    if turning:
+    turning = indexes(known.turns[chosen[moving]])
+    if len(turning):
         mine = quaternion.reshape(-1, n, 4)[turning].reshape(-1, 4)
-        numbers = [moving[row] for row in turning]
-        rotation[:, :, numbers] = matrix_of(mine).reshape(-1, n, 3, 3).transpose(2, 3, 0, 1)
+        rotation[:, :, moving[turning]] = matrix_of(mine).reshape(-1, n, 3, 3).transpose(2, 3, 0, 1)
     return place, rotation
 
 
@@ -60,11 +60,10 @@ class Bounds:
     """Of each track of a world: the box of its samples and how far from it the track may be."""
 
     def __init__(self, world: World) -> None:
-        self._of = {id(track): number for number, (_, track) in enumerate(world.tracks)}
-        if not self._of:
+        self.world = world
+        if not world.names:
             return
-        sizes = np.array(world.rest[1])
-        firsts = np.cumsum(sizes) - sizes
+        sizes, firsts = world.knots.sizes, world.knots.firsts
         t_s, at, _, velocity, *_ = world.columns
         given = np.nan_to_num(velocity)
         step, way = np.zeros(len(t_s)), np.zeros(len(t_s))
@@ -77,12 +76,12 @@ class Bounds:
         self._middle = low + (high - low) / 2.0
         self._half = np.linalg.norm(high - low, axis=1) / 2.0
         self._last = t_s[firsts + sizes - 1]
-        self._hold = np.array([track.hold_after_s for _, track in world.tracks])
+        self._hold = world.knots.hold_s
         self._half[world.natures.comes_back] = np.inf
 
-    def spheres(self, tracks: Sequence[Track], end_s: float) -> tuple[Floats, Floats]:
+    def spheres(self, tracks: Sequence[int], end_s: float) -> tuple[Floats, Floats]:
         """Centres (k, 3) and radii (k,) that hold the reference points of tracks until `end_s`."""
-        which = np.array([self._of[id(track)] for track in tracks])
+        which = np.array(tracks)
         # a cubic leaves its chord by less than what is travelled in its step; beyond the last sample a twist is as fast
         beyond = np.clip(end_s - self._last[which], 0.0, self._hold[which])
         radius = self._half[which] + self._fastest[which] * (self._step[which] + beyond)
@@ -123,7 +122,7 @@ class Placings:
     def _add(self, motions: list[Body]) -> None:
         first, count, n = len(self._rows), len(motions), len(self.t_s)
         at, turned = np.zeros((3, count, n)), np.zeros((3, 3, count, n))
-        tracks: dict[int, tuple[int, Track]] = {}
+        tracks: dict[int, int] = {}
         whole, whose = [], []
         for number, one in enumerate(motions):
             track = one.whole_track(self.t_s)
@@ -132,9 +131,9 @@ class Placings:
                 at[:, number], turned[:, :, number] = position.T, rotation.transpose(1, 2, 0)
                 continue
             whole.append(number)
-            whose.append(tracks.setdefault(id(track), (len(tracks), track))[0])
+            whose.append(tracks.setdefault(track, len(tracks)))
         if tracks:
-            place, rotation = _poses([track for _, track in tracks.values()], self.t_s)
+            place, rotation = _poses(self._bounds.world, list(tracks), self.t_s)
             turned[:, :, whole], at[:, whole] = rotation[:, :, whose], place[:, whose]
             offset = np.array([motions[number].offset for number in whole]).T
             apart = indexes((offset != 0.0).any(axis=0))
@@ -158,7 +157,8 @@ class Placings:
     def around(self, motions: Sequence[Body]) -> tuple[Floats, Floats]:
         """Centres (3, k) and radii (k,) that hold origins of bodies meanwhile, without looking where they are."""
         middle, radius = np.zeros((3, len(motions))), np.full(len(motions), np.inf)
-        whole = [(number, track) for number, one in enumerate(motions) if (track := one.whole_track(self.t_s))]
+        found = [(number, one.whole_track(self.t_s)) for number, one in enumerate(motions)]
+        whole = [(number, track) for number, track in found if track is not None]
         if whole:
             where, far = self._bounds.spheres([track for _, track in whole], float(self.t_s[-1]))
             numbers = [number for number, _ in whole]
