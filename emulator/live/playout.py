@@ -24,7 +24,9 @@ MINIMA = 30
 DRIFT = 500e-6
 "Most that the feeder's clock may run away; faster is a feed that does not keep real time."
 SLEW = 1e-3
-"Seconds a second by which offset and delay move."
+"Seconds a second by which offset and delay move at most."
+EASE_NS = 1_000_000_000
+"The nearer they are to where they belong the slower: less than a millisecond is left to a third in this time."
 RESTART_NS = 1_000_000_000
 "A stamp so far before the newest one: the feeder has started again."
 LEAST_DELAY_NS, MOST_DELAY_NS = 2_000_000, 250_000_000
@@ -174,11 +176,12 @@ class PlayoutClock:
         if self._used is None or young:
             self._used = (now_ns, offset, self._wanted_delay)
             return
-        most = SLEW * max(0, now_ns - self._used[0])
-        moved = (
-            _towards(old, new, most) for old, new in zip(self._used[1:], (offset, self._wanted_delay), strict=True)
-        )
-        self._used = (now_ns, *moved)  # type: ignore[assignment]
+        since = max(0, now_ns - self._used[0])
+        share, most = min(1.0, since / EASE_NS), SLEW * since
+        _, old, delay = self._used
+        drifted = old + self._base[2] * since
+        eased = drifted + share * (offset - drifted), delay + share * (self._wanted_delay - delay)
+        self._used = now_ns, _towards(old, eased[0], most), _towards(delay, eased[1], most)
 
 
 def _lower_slope(when: Floats, least: Floats) -> float:
