@@ -73,3 +73,29 @@ def test_an_actor_of_which_nothing_has_come_moves_as_the_file_says() -> None:
     one = motion.straight
     assert one is not None
     assert one.position(np.array([2.0]))[0].tolist() == [9.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize("off_m", [1e-6, 3e-5, 1e-3])
+def test_what_is_nearly_straight_is_where_its_track_is_to_a_tenth_of_a_millimetre(stated: bool, off_m: float) -> None:
+    """Positions that were rounded, or stamped by a clock that is followed; beyond the last sample nothing is off."""
+    found = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        speed = rng.uniform(-15.0, 15.0, 2)
+        rows = [
+            {"at_m": [*(0.01 * k * speed + rng.uniform(-off_m, off_m, 2)).tolist(), 0.0]}
+            | ({"velocity_m_s": [*speed.tolist(), 0.0]} if stated else {})
+            for k in range(6)
+        ]
+        motion = fed(rows, 0.012, 0.038)
+        times = np.linspace(0.012, 0.0399, 40)
+        one, place = motion.straight, motion.found(times)[0]
+        found.append(one is not None)
+        if one is not None:
+            assert one.position(times) == pytest.approx(place, abs=1.3e-4)
+            assert motion.pose(times).position_m == pytest.approx(one.position(times), abs=1e-12)
+            if stated:
+                late = motion.found(np.array([0.3]))[0]
+                assert one.position(np.array([0.3])) == pytest.approx(late, abs=1e-9)
+    assert all(found) if off_m < 1e-4 else not any(found)
