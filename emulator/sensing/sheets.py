@@ -18,6 +18,7 @@ from emulator.physics import polygons
 from emulator.physics.arrays import Bools, Floats, Ints, group_starts, indexes, ramp
 from emulator.physics.beams import NO_WIDTH, BeamShape
 from emulator.physics.materials import SurfaceTable
+from emulator.world.batched_poses import BatchedPoses
 from emulator.world.connected import pieces_of
 from emulator.world.fed import Fed, around
 from emulator.world.motion import Motion, Pose
@@ -142,6 +143,32 @@ class _Sheet:
     radius_m: float
 
 
+def _near_by_loops(loops: ModuleType, sheets: Sheets, frames: Frames, radii: Radii, reach_m: float) -> Faced:
+    """Where no face reaches behind its pupil."""
+    shape, t_s = frames.shape, frames.t_s
+    first, last = float(t_s.min()), float(t_s.max())
+    now = sheets._poses.during(first, last)
+    bent, held, held_m, bent_at, bent_turned = sheets._unbent
+    if len(now.curved):
+        bent, held, held_m, bent_at, bent_turned = sheets._bent(now.curved, frames, reach_m)
+    law = np.array([
+        *_tangents(shape), shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), reach_m,
+        *vars(radii).values(),
+    ])  # fmt: skip
+    cut, (beam, sheet, face), (offset, height), corner, normal, across = loops.beside(
+        now.at, now.velocity, now.since, now.turned, bent, held, held_m, bent_at, bent_turned, frames.pose.position_m,
+        frames.pose.rotation, frames.own_axis, frames.axis, t_s, sheets._home, sheets._first, sheets._faces,
+        sheets._middle_m, sheets._radius_m, sheets._strength, sheets._corner_m, sheets._normal, sheets._behind_m,
+        sheets._closed, sheets._face_strength, law,
+    )  # fmt: skip
+    if cut:
+        return OTHERWISE
+    return Faced(
+        beam, sheets._actor[sheet], sheets._material[face], sheets._face_strength[face], across, normal, -height,
+        corner, offset,
+    )  # fmt: skip
+
+
 class Sheets:
     """The bright faces of a scene's rigid bodies."""
 
@@ -158,6 +185,13 @@ class Sheets:
         }
         "Of bodies that do not turn: where they are at time 0, how they are turned, whether they stay there."
         self._body = np.array([one.body for one in sheets], np.int64)
+        homes, self._home = np.unique(self._body, return_inverse=True)
+        "(s,) Which of the bodies that have one."
+        self._moved = [scene.bodies[number].motion for number in homes.tolist()]
+        "Their motions."
+        self._poses = BatchedPoses(self._moved)
+        nowhere = np.zeros((0, 3))
+        self._unbent = np.full(len(homes), -1), nowhere, np.zeros(0), nowhere, np.zeros((0, 3, 3))
         self._actor = np.array([scene.bodies[one.body].actor for one in sheets], np.int64)
         self._middle_m = np.array([one.middle_m for one in sheets]).reshape(-1, 3)
         self._arm_m = self._middle_m.copy()
@@ -196,6 +230,7 @@ class Sheets:
         self._normal = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
         self._behind_m = (self._normal * self._corner_m[:, 0]).sum(axis=1)
 
+    @by_loops(_near_by_loops, "beside")
     def near(self, frames: Frames, radii: Radii, reach_m: float) -> Faced:
         """Pairs of a beam and a face that comes into its tail; not those of a closed body that look away."""
         beam, sheet = self._pairs(frames, radii, reach_m)
@@ -214,6 +249,24 @@ class Sheets:
 
     def _pairs(self, frames: Frames, radii: Radii, reach_m: float) -> tuple[Ints, Ints]:
         """Beams, and sheets whose sphere comes into their cones wherever it and the sensor are in this sweep."""
+        eye, centre, size = self._spheres(frames)
+        away = centre - eye
+        distance = np.linalg.norm(away, axis=1)
+        nearest = np.maximum(distance - size, 0.0)
+        most = radii(nearest, self._strength)
+        wide = (size + most * frames.shape.exit_radius_m) / np.maximum(distance, 1e-9)
+        angle = np.arcsin(np.minimum(wide, 1.0)) + np.arctan(most * float(_tangents(frames.shape).max()))
+        least = np.where((wide < 1.0) & (angle < np.pi), np.cos(np.minimum(angle, np.pi)), -2.0) - 1e-12
+        some = indexes((nearest <= reach_m) & (most > 0.0))
+        way = away[some] / np.maximum(distance[some], 1e-9)[:, None]
+        cosine = way[:, 0, None] * frames.axis[:, 0]
+        cosine += way[:, 1, None] * frames.axis[:, 1]
+        cosine += way[:, 2, None] * frames.axis[:, 2]
+        sheet, beam = np.nonzero(cosine >= least[some, None])
+        return beam, some[sheet]
+
+    def _spheres(self, frames: Frames) -> tuple[Floats, Floats, Floats]:
+        """The middle of the sensor's places; centres (s, 3) and radii (s,) about which sheets stay, seen from all."""
         t_s, place = frames.t_s, frames.pose.position_m
         first, last = float(t_s.min()), float(t_s.max())
         low = high = place[0]
@@ -234,20 +287,21 @@ class Sheets:
             where, far = around(self._fed_motions, t_s)
             centre[self._fed] = where[:, self._fed_motion].T
             size[self._fed] += self._fed_arm_m + far[self._fed_motion]
-        away = centre - eye
-        distance = np.linalg.norm(away, axis=1)
-        nearest = np.maximum(distance - size, 0.0)
-        most = radii(nearest, self._strength)
-        wide = (size + most * frames.shape.exit_radius_m) / np.maximum(distance, 1e-9)
-        angle = np.arcsin(np.minimum(wide, 1.0)) + np.arctan(most * float(_tangents(frames.shape).max()))
-        least = np.where((wide < 1.0) & (angle < np.pi), np.cos(np.minimum(angle, np.pi)), -2.0) - 1e-12
-        some = indexes((nearest <= reach_m) & (most > 0.0))
-        way = away[some] / np.maximum(distance[some], 1e-9)[:, None]
-        cosine = way[:, 0, None] * frames.axis[:, 0]
-        cosine += way[:, 1, None] * frames.axis[:, 1]
-        cosine += way[:, 2, None] * frames.axis[:, 2]
-        sheet, beam = np.nonzero(cosine >= least[some, None])
-        return beam, some[sheet]
+        return eye, centre, size
+
+    def _bent(self, curved: Ints, frames: Frames, reach_m: float) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+        """What loops need of bodies that do not move straight: which, spheres of sheets, poses as each beam fires."""
+        eye, centre, size = self._spheres(frames)
+        bent = np.full(len(self._moved), -1, np.int64)
+        bent[curved] = np.arange(len(curved))
+        within = np.linalg.norm(centre - eye, axis=1) - size <= reach_m
+        t_s = frames.t_s
+        at, turned = np.zeros((len(curved), len(t_s), 3)), np.zeros((len(curved), len(t_s), 3, 3))
+        for row in np.unique(bent[self._home[within]]):
+            if row >= 0:
+                pose = self._moved[curved[row]].pose(t_s)
+                at[row], turned[row] = pose.position_m, pose.rotation
+        return bent, centre, size, at.reshape(-1, 3), turned.reshape(-1, 3, 3)
 
     def _faced(self, beam: Ints, sheet: Ints, frames: Frames, radii: Radii, reach_m: float) -> Faced:
         """Those of pairs of a beam and a sheet."""
@@ -278,25 +332,6 @@ _Beside = tuple[Ints, Ints, Floats, Floats, Floats, Floats, Floats]
 "Pair, face; offset, height, corners and normals in the beams' coordinates, the beams' axes."
 
 
-def _beside_by_loops(
-    loops: ModuleType, sheets: Sheets, beam: Ints, sheet: Ints, position: Floats, rotation: Floats, frames: Frames,
-    radii: Radii, reach_m: float,
-) -> _Beside:  # fmt: skip
-    """Where no face reaches behind its pupil."""
-    shape = frames.shape
-    law = np.array([
-        *_tangents(shape), shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), reach_m,
-        *vars(radii).values(),
-    ])  # fmt: skip
-    cut, (pair, face), (offset, height), corner, normal, across = loops.beside(
-        beam, sheet, position, rotation, frames.pose.position_m, frames.pose.rotation, frames.own_axis, frames.axis,
-        sheets._first, sheets._faces, sheets._middle_m, sheets._radius_m, sheets._strength, sheets._corner_m,
-        sheets._normal, sheets._behind_m, sheets._closed, sheets._face_strength, law,
-    )  # fmt: skip
-    return OTHERWISE if cut else (pair, face, offset, height, corner, normal, across)
-
-
-@by_loops(_beside_by_loops, "beside")
 def _beside(
     sheets: Sheets, beam: Ints, sheet: Ints, position: Floats, rotation: Floats, frames: Frames, radii: Radii,
     reach_m: float,
