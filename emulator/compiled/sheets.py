@@ -1,7 +1,7 @@
 """Bright faces beside beams: which come near, where they are in a beam's own coordinates, which places they cover.
 
-Belongs here: what `sheets.Sheets.near` does with arrays, and `polygons.within` for one place. Not: faces that reach behind
-a pupil, which arrays cut, and the light on them.
+Belongs here: what `sheets.Sheets.near` does with arrays, and `polygons.within` for one place. Not: faces that reach
+behind a pupil, which arrays cut, and the light on them.
 """
 
 # mypy: disable-error-code="no-untyped-def"

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from emulator.compiled.pair import OTHERWISE
 from emulator.compiled.sheets import holds
 from emulator.physics import polygons
 from emulator.sensing import sheets, tails
@@ -86,14 +87,14 @@ def test_a_row_of_plates_is_found_by_loops_and_one_that_reaches_behind_a_pupil_b
         for k in range(-5, 6)
     ]
     made: list[bool] = []
-    loop = sheets._beside.pair.loop  # type: ignore[attr-defined]
+    loop = sheets.Sheets.near.pair.loop  # type: ignore[attr-defined]
 
     def noted(*given: Any) -> Any:
         found = loop(*given)
-        made.append(isinstance(found, tuple))
+        made.append(found is not OTHERWISE)
         return found
 
-    monkeypatch.setattr(sheets._beside.pair, "loop", noted)  # type: ignore[attr-defined]
+    monkeypatch.setattr(sheets.Sheets.near.pair, "loop", noted)  # type: ignore[attr-defined]
     one, other = both(lambda: faced(tmp_path, row, physics={"roll_deg": 20.0}))
     same(one, other)
     assert len(one) > 20
