@@ -353,8 +353,8 @@ def received(
             place_m, last = cross(level[i], at, size, start_of[i], begun, total, real, imaginary, half_m, wave_number)
             if in_air[i]:
                 crossing[i] = cross_in_air(
-                    level[i], place_m, last, at - 1 - sums_at, sums_at, open_, stops, edged, first, bin_m, wave_number, ends,
-                    at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
+                    level[i], place_m, last, at - 1 - sums_at, sums_at, open_, stops, edged, first, bin_m, wave_number,
+                    ends, at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
                 )  # fmt: skip
             if valley:
                 crossing[i] = out_of_valley(

@@ -224,8 +224,8 @@ def _cosine_crossings(
                 )  # fmt: skip
             if valley:
                 crossing[i] = out_of_valley(
-                    level[i], crossing[i], centre[i], height[i], 0, open_, stops, edged, first, bin_m, wave_number, ends,
-                    start, size, first_m[i], begun, total, real, imaginary, half_m, int(law[32]),
+                    level[i], crossing[i], centre[i], height[i], 0, open_, stops, edged, first, bin_m, wave_number,
+                    ends, start, size, first_m[i], begun, total, real, imaginary, half_m, int(law[32]),
                 )  # fmt: skip
         if shift[i] > 0.0:  # near a maximum, see `Cosines.crossing`
             before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number

@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from emulator.physics import atmosphere, precipitation
-from emulator.physics.arrays import Floats, Ints, indexes
+from emulator.physics.arrays import Floats, Ints, group_starts, ramp
 from emulator.physics.hidden import Hidden
 from emulator.physics.particle_light import Optics, ParticleLight, Sizes
 from emulator.physics.random_streams import RandomStreams
@@ -179,7 +179,10 @@ class Drawn:
         The extinction holds their mean already: where they are few or none, what is behind is a little brighter.
         """
         exponent = self.light.mean_shadow(found.range_m)
-        at = indexes(np.bincount(self.beam, minlength=int(found.beam.max(initial=0)) + 1)[found.beam] > 0)
+        beams = self.beam[group_starts(self.beam)]
+        first = found.beam.searchsorted(beams)
+        count = found.beam.searchsorted(beams, side="right") - first
+        at = first.repeat(count) + ramp(count)
         beam, range_m = found.beam[at], found.range_m[at]
         length = float(max(range_m.max(initial=0.0), self.range_m.max(initial=0.0))) + 1.0
         place = (self.beam * length + self.range_m).searchsorted(beam * length + range_m)
