@@ -46,7 +46,7 @@ def bounds(number, edged, first, bin_m, wave_number, ends):
 
 @compiled()
 def stopped(range_m, blocked, start, count, sums, at, knots, cubics, cells, cell):
-    """Set `AirUnder.sums` of one cluster behind `at`."""
+    """Set `AirUnder.sums` of one cluster from `at` on, where they go on from what is there."""
     for k in range(start, start + count):
         share = blocked[k]
         sums[0, at + 1] = sums[0, at] + share
@@ -109,17 +109,17 @@ def part_under(x_m, last, before, begins, open_, sums, edged, first, bin_m, wave
 
 
 @compiled()
-def lifted_in_air(centre, height, swing, size, open_, sums, edged, first, bin_m, wave_number, ends):
+def lifted_in_air(centre, height, swing, size, begins, open_, sums, edged, first, bin_m, wave_number, ends):
     """Place and height of a cluster's maximum with a medium under it, and how far it shifts it: `cosines._lifted`.
 
-    `swing` : its |C|.
+    `swing` : its |C|; `begins` : where its sums begin.
     """
     number = int(np.floor(centre / bin_m))
     share = centre / bin_m - number
-    one = _at_bin(number - 1, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    two = _at_bin(number, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    three = _at_bin(number + 1, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-    four = _at_bin(number + 2, size, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    one = _at_bin(number - 1, begins + size, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+    two = _at_bin(number, begins + size, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+    three = _at_bin(number + 1, begins + size, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+    four = _at_bin(number + 2, begins + size, begins, open_, sums, edged, first, bin_m, wave_number, ends)
     before, here, behind = one + share * (two - one), two + share * (three - two), three + share * (four - three)
     slope, curve = 0.5 * (behind - before) / bin_m, (behind - 2.0 * here + before) / (bin_m * bin_m)
     bend = 0.5 * wave_number * wave_number * swing - curve
@@ -169,18 +169,18 @@ def stands_out(together, length_m, air, dark, begin_m, free, first, bin_m, law):
 
 @compiled()
 def out_of_valley(
-    level, crossing, centre, height, open_, sums, edged, first, bin_m, wave_number, ends,
+    level, crossing, centre, height, begins, open_, sums, edged, first, bin_m, wave_number, ends,
     start, size, first_m, begun, total, real, imaginary, half_m, passes,
 ):  # fmt: skip
     """The crossing of one cluster that begins where the medium may be over the level: `Cosines._out_of_valleys`.
 
-    `open_`, `sums` : of the cluster alone; the rest as for `cross_in_air`.
+    `open_`, `sums` : of the cluster alone, from `begins` on; the rest as for `cross_in_air`.
     """
-    begin_m, before = first_m - half_m, start - 1
+    begin_m, before = first_m - half_m, start - 1 - begins
     place, rise, at = begin_m, 0.0, start
     for _ in range(passes):
-        air = part_under(place, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
-        behind = part_under(place + bin_m, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+        air = part_under(place, at, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
+        behind = part_under(place + bin_m, at, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
         fall, at = max((air - behind) / bin_m, 0.0), start
         while True:
             swing = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
@@ -192,7 +192,7 @@ def out_of_valley(
             if at + 1 >= start + size or (rises and not begun[at + 1] < rise):
                 break
             at += 1
-    air = part_under(place, at, before, 0, open_, sums, edged, first, bin_m, wave_number, ends)
+    air = part_under(place, at, before, begins, open_, sums, edged, first, bin_m, wave_number, ends)
     above = min(max(air + rise - level, 0.0), 1.0)
     if not above > 0.0:
         return crossing

@@ -168,7 +168,8 @@ def received(
     angle, begun, total = np.empty(HELD), np.empty(HELD + 1), np.empty(HELD + 1)
     real, imaginary = np.empty(HELD + 1), np.empty(HELD + 1)  # the last: of a pulse that is alone
     begun[HELD] = imaginary[HELD] = 0.0
-    stops = np.zeros((4, MOST + 1))
+    # of a medium: sums of each echo, of one more than its sub-echoes; they begin with 0
+    stops = np.zeros((4, HELD + 2 * ECHOES_HELD))
     # of echoes; the second half of some are the same again with a medium under them
     begin_of, at_of, size_of = np.empty((3, ECHOES_HELD), np.int64)
     centre, height, under, dark_of, least_of = np.empty((5, ECHOES_HELD))
@@ -176,7 +177,8 @@ def received(
     lead = np.full(ECHOES_HELD, fwhm_m - offset_m)
     start_of, level, sum_of, swing, turn, crossing = np.empty((6, 2 * ECHOES_HELD))
     doubted, head_of = np.empty((2, ECHOES_HELD), np.int64)
-    shift_of, over_of, in_air = np.empty(ECHOES_HELD), np.empty(ECHOES_HELD), np.empty(ECHOES_HELD, np.bool_)
+    shift_of, over_of, open_of = np.empty((3, ECHOES_HELD))
+    in_air, summed = np.empty((2, ECHOES_HELD), np.bool_)
     # of beams
     held, first_of, made_of, alarm_of, alarms_of = np.empty((5, ECHOES_HELD), np.int64)
     own_of = np.empty(ECHOES_HELD, np.bool_)
@@ -249,6 +251,7 @@ def received(
             for i in range(begin, end):
                 size, j, at = size_of[i], begin_of[i], at_of[i]
                 under[i], turn[i], start_of[i], in_air[i], shift_of[i], over_of[i] = 0.0, 0.0, own_m, False, 0.0, 0.0
+                summed[i] = False
                 centre[i], height[i], sum_of[i], swing[i] = own_m, own_height, own_height, own_height
                 if size == 0:
                     continue
@@ -281,11 +284,13 @@ def received(
                     under[i] = below
                     if good and below > slight * height[i]:
                         under[i], in_air[i] = 0.0, True
-                        stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
-                        open_ = left_open(blocked, head_of[i], j)
+                        summed[i], sums_at = True, at + 2 * i
+                        stops[:, sums_at] = 0.0
+                        stopped(range_m, blocked, j, size, stops, sums_at, knots, cubics, cells, cell)
+                        open_of[i] = left_open(blocked, head_of[i], j)
                         centre[i], height[i], shift_of[i] = lifted_in_air(
-                            centre[i], height[i], 2.0 * height[i] - a, size, open_, stops, edged, first, bin_m,
-                            wave_number, ends,
+                            centre[i], height[i], 2.0 * height[i] - a, size, sums_at, open_of[i], stops, edged, first,
+                            bin_m, wave_number, ends,
                         )  # fmt: skip
                 good = good and height[i] > 0.0
             if not good:
@@ -336,21 +341,25 @@ def received(
             if not (in_air[i] or valley):
                 continue
             j, at, size = begin_of[i], at_of[i], size_of[i]
+            sums_at = at + 2 * i
+            if not summed[i]:
+                stops[:, sums_at] = 0.0
+                stopped(range_m, blocked, j, size, stops, sums_at, knots, cubics, cells, cell)
+                open_of[i] = left_open(blocked, head_of[i], j)
+            open_ = open_of[i]
             if size == 1:
                 at = HELD
                 total[at] = real[at] = amplitude[j]
-            stopped(range_m, blocked, j, size, stops, 0, knots, cubics, cells, cell)
-            open_ = left_open(blocked, head_of[i], j)
             place_m, last = cross(level[i], at, size, start_of[i], begun, total, real, imaginary, half_m, wave_number)
             if in_air[i]:
                 crossing[i] = cross_in_air(
-                    level[i], place_m, last, at - 1, 0, open_, stops, edged, first, bin_m, wave_number, ends,
-                    at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
+                    level[i], place_m, last, at - 1 - sums_at, sums_at, open_, stops, edged, first, bin_m, wave_number,
+                    ends, at, size, start_of[i], begun, total, real, imaginary, half_m, least_share, exact_m, passes,
                 )  # fmt: skip
             if valley:
                 crossing[i] = out_of_valley(
-                    level[i], crossing[i], centre[i], height[i], open_, stops, edged, first, bin_m, wave_number, ends,
-                    at, size, start_of[i], begun, total, real, imaginary, half_m, valley_passes,
+                    level[i], crossing[i], centre[i], height[i], sums_at, open_, stops, edged, first, bin_m,
+                    wave_number, ends, at, size, start_of[i], begun, total, real, imaginary, half_m, valley_passes,
                 )  # fmt: skip
             if shift_of[i] > 0.0:  # near a maximum, see `Cosines.crossing`
                 before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number

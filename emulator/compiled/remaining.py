@@ -224,8 +224,8 @@ def _cosine_crossings(
                 )  # fmt: skip
             if valley:
                 crossing[i] = out_of_valley(
-                    level[i], crossing[i], centre[i], height[i], open_, stops, edged, first, bin_m, wave_number, ends,
-                    start, size, first_m[i], begun, total, real, imaginary, half_m, int(law[32]),
+                    level[i], crossing[i], centre[i], height[i], 0, open_, stops, edged, first, bin_m, wave_number,
+                    ends, start, size, first_m[i], begun, total, real, imaginary, half_m, int(law[32]),
                 )  # fmt: skip
         if shift[i] > 0.0:  # near a maximum, see `Cosines.crossing`
             before_m = np.sqrt(4.0 * max(height[i] - level[i], 0.0) / height[i]) / wave_number
@@ -354,7 +354,7 @@ def remaining(
                 open_ = left_open(sizes[2], head, start)
                 swing = 2.0 * height_c[i] - running[1, start + size - 1]
                 centre_c[i], height_c[i], shift[i] = lifted_in_air(
-                    centre_c[i], height_c[i], swing, size, open_, stops, edged, first, bin_m, wave_number, ends
+                    centre_c[i], height_c[i], swing, size, 0, open_, stops, edged, first, bin_m, wave_number, ends
                 )
         i += 1
     # what is sampled

@@ -52,6 +52,8 @@ SLACK_M = 1e-5
 "Beams that are nearer to their places of an earlier sweep, from the first one, are looked for in the same boxes."
 AT_ONCE = 200_000
 "Cells that are held together."
+SHORTER = 0.5
+"With numpy arrays: share of the way from beam to beam below which another order is worth it."
 STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -68,9 +70,11 @@ class Lines:
     t_s: Floats
     far_m: Floats
     "(n,) first surface."
+    own_axis: Floats | None = None
+    "(n, 3) in the sensor's frame: with numpy arrays beams are looked at by its layers; None: as they come."
 
     def taken(self, order: Ints) -> Lines:
-        """The same beams in another order."""
+        """The same beams in another order, and to be looked at in it."""
         across = None if self.across is None else self.across[order]
         return Lines(self.centre_m[order], self.axis[order], across, self.t_s[order], self.far_m[order])
 
@@ -157,6 +161,9 @@ class WorldParticles:
         """Beam, range and effective size in mm of all particles that are to be drawn; None: too many cells."""
         if not len(lines.axis):
             return _none()
+        order = None if lines.own_axis is None else by_layers(lines.own_axis)
+        if order is not None:
+            lines = lines.taken(order)
         fans, searches = self._fans(light, lines), []
         left: float = MOST_PAIRS
         for one in self._classes:
@@ -167,7 +174,8 @@ class WorldParticles:
             searches.append(search)
         beam, range_m, size = _joined([search.found() for search in searches])
         kept = indexes(size >= light.least_mm(range_m))
-        return beam[kept], range_m[kept], size[kept]
+        beam = beam[kept]
+        return beam if order is None else order[beam], range_m[kept], size[kept]
 
     def tables(self, light: ParticleLight) -> _Tables:
         """Keys of all classes; least size, share, number, width of cells and velocity; how far they are seen."""
@@ -462,6 +470,22 @@ def in_boxes(search: _Search) -> tuple[Ints, Floats, Floats]:
         found.append(search.of_some(np.arange(begin, end), count[begin:end]))
         begin = end
     return _joined(found)
+
+
+def by_layers(own_axis: Floats) -> Ints | None:
+    """Order of beams (n, 3) in which neighbours lie beside each other, where lasers that fire in turn look far apart.
+
+    None: as they come.
+    """
+    if len(own_axis) < 2 or float(np.ptp(own_axis[:, 2])) < 1e-6:  # one layer
+        return None
+    order = np.argsort(np.round(own_axis[:, 2], 6), kind="stable")
+    return order if _way(own_axis[order]) < SHORTER * _way(own_axis) else None
+
+
+def _way(axis: Floats) -> float:
+    """Sum of the angles from beam to beam, nearly."""
+    return float(np.sqrt((np.diff(axis, axis=0) ** 2).sum(axis=1)).sum())
 
 
 # ------------------------------------------------------------------------------- numbers of a cell

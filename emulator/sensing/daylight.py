@@ -46,6 +46,8 @@ class Daylight:
 
 
 NIGHT = Daylight(None, None)
+ANGLE_RAD = 1e-6
+"An angle from its cosine is not wrong by more, far from 0."
 LIFT_M, LIFT_PER_M = 1e-3, 1e-4
 "Above its surface begins a ray to the sun: at the sensor, and for each metre from it."
 
@@ -85,19 +87,25 @@ class Shadows:
 def unseen_w(model: SensorModel) -> float:
     """Largest background that does not show in the noise. [W]"""
     receiver = model.receiver
-    excess = float(noise.excess_noise(receiver.gain, receiver.ionisation_ratio))
-    shot = 2.0 * ELEMENTARY_CHARGE_C * receiver.responsivity_a_w * receiver.gain**2 * excess * receiver.bandwidth_hz
-    return _unseen_share(model) * receiver.baseline_a**2 / shot
+    shot = _shot_a2_w(receiver.gain, receiver.ionisation_ratio, receiver.responsivity_a_w, receiver.bandwidth_hz)
+    return _unseen_share(model.pulse.fwhm_m, model.threshold, model.lsb_m) * receiver.baseline_a**2 / shot
 
 
-def _unseen_share(model: SensorModel) -> float:
+@lru_cache(maxsize=64)
+def _shot_a2_w(gain: float, ionisation_ratio: float, responsivity_a_w: float, bandwidth_hz: float) -> float:
+    """Square of the shot noise of background light, over its power."""
+    excess = float(noise.excess_noise(gain, ionisation_ratio))
+    return 2.0 * ELEMENTARY_CHARGE_C * responsivity_a_w * gain**2 * excess * bandwidth_hz
+
+
+def _unseen_share(fwhm_m: float, threshold: float, step_m: float) -> float:
     """Share of the square of the noise that shifts no crossing by half a step.
 
     The threshold follows the noise, and three rms of it shift the level. A crossing that is nearer than `TOP` to its
     maximum is moved farther by any change.
     """
-    slope = math.pi / model.pulse.fwhm_m * math.sqrt(model.threshold * TOP)
-    return min(INVISIBLE, model.lsb_m * slope / (model.threshold + 3.0))
+    slope = math.pi / fwhm_m * math.sqrt(threshold * TOP)
+    return min(INVISIBLE, step_m * slope / (threshold + 3.0))
 
 
 @dataclass(frozen=True)
@@ -243,6 +251,8 @@ class _SunInView:
         power = np.zeros(len(self._rays.axis))
         if self._most_w() <= limit_w:
             return power
+        if self._far_from_all(limit_w):
+            return power
         angle = geometry.angle_between(self._rays.axis, self._towards)
         disc, stray, aureole = self._disc_w(angle), self._stray_w(angle), self._aureole_w(angle)
         if not bool((np.maximum(disc, stray) + aureole > limit_w).any()):
@@ -265,6 +275,14 @@ class _SunInView:
         angle = geometry.angle_between(self._rays.axis, self._towards)
         power = np.maximum(self._disc_w(angle), self._stray_w(angle)) + self._aureole_w(angle)
         return float(np.max(power, initial=0.0))
+
+    def _far_from_all(self, limit_w: float) -> bool:
+        """No field of view reaches the aureole, and what strays into that of the nearest beam is below the limit."""
+        cosine = float((self._rays.axis @ self._towards).max(initial=-1.0))
+        angle = math.acos(min(cosine, 1.0)) - ANGLE_RAD
+        if not angle > self._half + max(SUN_HALF_ANGLE_RAD, sunlight.AUREOLE_RAD):
+            return False
+        return float(self._stray_w(np.array(angle))) <= limit_w
 
     def _most_w(self) -> float:
         """More than any beam may get."""

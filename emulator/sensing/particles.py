@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from emulator.physics import atmosphere, precipitation
-from emulator.physics.arrays import Floats, Ints
+from emulator.physics.arrays import Floats, Ints, group_starts, ramp
 from emulator.physics.hidden import Hidden
 from emulator.physics.particle_light import Optics, ParticleLight, Sizes
 from emulator.physics.random_streams import RandomStreams
@@ -46,8 +46,6 @@ WRONG = 0.004
 "Share of all beams that may be wrong for it."
 FAINTEST_SHADOW = 1e-3
 "Mean loss there and back by the drawn particles from which their shadows are looked at."
-SHORTER = 0.5
-"Share of the way from beam to beam below which another order is worth it."
 MOST_DRAWN = 60.0
 "Particles drawn in one beam at the most, where the share may still grow."
 
@@ -180,11 +178,17 @@ class Drawn:
 
         The extinction holds their mean already: where they are few or none, what is behind is a little brighter.
         """
-        length = float(max(found.range_m.max(initial=0.0), self.range_m.max(initial=0.0))) + 1.0
-        place = (self.beam * length + self.range_m).searchsorted(found.beam * length + found.range_m)
+        exponent = self.light.mean_shadow(found.range_m)
+        beams = self.beam[group_starts(self.beam)]
+        first = found.beam.searchsorted(beams)
+        count = found.beam.searchsorted(beams, side="right") - first
+        at = first.repeat(count) + ramp(count)
+        beam, range_m = found.beam[at], found.range_m[at]
+        length = float(max(range_m.max(initial=0.0), self.range_m.max(initial=0.0))) + 1.0
+        place = (self.beam * length + self.range_m).searchsorted(beam * length + range_m)
         lost = np.concatenate([[0.0], self.lost.cumsum()])
-        passed = 2.0 * (lost[place] - lost[self.beam.searchsorted(found.beam)])
-        return replace(found, amplitude=found.amplitude * np.exp(self.light.mean_shadow(found.range_m) + passed))
+        exponent[at] += 2.0 * (lost[place] - lost[self.beam.searchsorted(beam)])
+        return replace(found, amplitude=found.amplitude * np.exp(exponent))
 
 
 class Falling:
@@ -271,11 +275,8 @@ class Falling:
         if not bool(mean.any()) or (float(mean.sum()) < RARE and self._model.leave_out.particles):
             return None
         far = np.minimum(far_m, self._model.gate_m)
-        lines = Lines(rays.centre_m, rays.axis, self._across(rays, rotation), t_s, far)
-        order = by_layers(rays.own_axis)
-        found = self._world(particles, draws.seed).in_beams(light, lines if order is None else lines.taken(order))
-        if found is not None and order is not None:
-            found = order[found[0]], *found[1:]
+        lines = Lines(rays.centre_m, rays.axis, self._across(rays, rotation), t_s, far, rays.own_axis)
+        found = self._world(particles, draws.seed).in_beams(light, lines)
         if found is None:
             found = self._each_alone(particles, light, far_m, mean, sweep, draws)
         beam, range_m, size_mm = found
@@ -286,12 +287,14 @@ class Falling:
         beam = self._model.beam
         if beam.half_angle_x_rad == beam.half_angle_y_rad:
             return None
-        own = rays.own_axis
-        level = np.maximum(np.hypot(own[:, 0], own[:, 1]), 1e-12)
-        side = np.stack([-own[:, 1] / level, own[:, 0] / level, np.zeros(len(own))], axis=1)
-        up = np.cross(own, side)
-        turned = math.cos(beam.roll_rad) * side + math.sin(beam.roll_rad) * up
-        return np.asarray(np.einsum("nij,nj->ni", rotation, turned))
+        x, y, z = rays.own_axis.T
+        level = np.maximum(np.hypot(x, y), 1e-12)
+        aside, ahead = -y / level, x / level
+        level_x, level_y = math.cos(beam.roll_rad) * aside, math.cos(beam.roll_rad) * ahead
+        up_x, up_y, up_z = (math.sin(beam.roll_rad) * up for up in (-z * ahead, z * aside, x * ahead - y * aside))
+        own_x, own_y = level_x + up_x, level_y + up_y
+        rows = [row[:, 0] * own_x + row[:, 1] * own_y + row[:, 2] * up_z for row in rotation.swapaxes(0, 1)]
+        return np.stack(rows, axis=1)
 
     def _each_alone(
         self, particles: Particles, light: ParticleLight, far_m: Floats, mean: Floats, sweep: int, draws: RandomStreams
@@ -307,22 +310,6 @@ class Falling:
 def hides(model: SensorModel) -> bool:
     """A medium's return may hide particles from this sensor's receiver: it looks for maxima and rises of the light."""
     return model.leave_out.particles and model.leave_out.soft_table and model.photons is None and model.response is None
-
-
-def by_layers(own_axis: Floats) -> Ints | None:
-    """Order of beams (n, 3) in which neighbours lie beside each other, where lasers that fire in turn look far apart.
-
-    None: as they come.
-    """
-    if len(own_axis) < 2 or float(np.ptp(own_axis[:, 2])) < 1e-6:  # one layer
-        return None
-    order = np.argsort(np.round(own_axis[:, 2], 6), kind="stable")
-    return order if _way(own_axis[order]) < SHORTER * _way(own_axis) else None
-
-
-def _way(axis: Floats) -> float:
-    """Sum of the angles from beam to beam, nearly."""
-    return float(np.sqrt((np.diff(axis, axis=0) ** 2).sum(axis=1)).sum())
 
 
 def _numbers(draws: RandomStreams, term: str, sweep: int, count: Ints) -> Floats:

@@ -106,6 +106,23 @@ def test_the_aureole_is_seen_beside_the_disc_and_behind_no_wall(tmp_path: Path) 
     assert found[3] < found[1] + 0.05 * wanted
 
 
+@pytest.mark.parametrize("aside_deg", [5.0, 40.0, 170.0])
+def test_light_that_strays_into_far_beams_is_left_out_below_the_limit_alone(tmp_path: Path, aside_deg: float) -> None:
+    """1e-4 (1 deg/angle)^2 of the direct light, in the nearest of beams that all look elsewhere."""
+    measure = build(tmp_path, [], weather=towards(0.5), physics=PHYSICS)
+    model, sun = measure.model, measure.air.at(0.0).sun
+    assert sun is not None
+    view = measure.view(plan([aside_deg, aside_deg + 7.0], elevation_deg=0.5))
+    within = daylight._SunInView(sun, view.rays, model)
+    angle_deg = math.degrees(2.0 * math.asin(math.sin(math.radians(0.5 * aside_deg)) * math.cos(math.radians(0.5))))
+    direct = float(sunlight.direct_normal(0.5, sunlight.CLEAR_BETA, model.wavelength_m, 1370.0))
+    light = direct * float(sunlight.disc_share(0.5)) * 1e-9 * model.receiver.filter_nm
+    wanted = 1e-4 / angle_deg**2 * light * math.pi * model.aperture_radius_m**2 * model.efficiency
+    below, above = (within.power_w(view.seen, measure._caster, share * wanted) for share in (0.99, 1.01))
+    assert below[0] == pytest.approx(wanted, rel=1e-3)
+    assert not above.any()
+
+
 @pytest.mark.parametrize("where", ["before the aureole", "beside it"])
 def test_a_wall_out_of_reach_hides_the_aureole_where_no_surface_shows(tmp_path: Path, where: str) -> None:
     """A thin sun: no ray is cast for the light of surfaces, but one for what stands before the aureole."""

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from emulator.compiled import switch
 from emulator.physics import world_particles
 from emulator.physics.random_streams import RandomStreams
-from emulator.physics.world_particles import Lines, WorldParticles
+from emulator.physics.world_particles import Lines, WorldParticles, by_layers
 from emulator.sensing.measure import Measure
-from emulator.sensing.particles import by_layers
 from tests.sensing import particle_cases as cases
 from tests.sensing.one_particle_at_a_time import Rig, first_echoes
 from tests.sensing.particle_cases import Case, firsts, named, particle_light, sensor
@@ -252,9 +251,7 @@ def test_lasers_that_look_far_apart_see_what_each_of_them_sees_alone(sorted_: bo
     measure = sensor(named("particles_sum", "lms291-s05 w0 5 mm gauss floor 0.004, dry snow 5")[0])
     now, light, lines = measure.air.at(0.0), particle_light(measure), lasers()
     if sorted_:
-        order = by_layers(lines.axis)
-        assert order is not None
-        lines = lines.taken(order)
+        lines = dataclasses.replace(lines, own_axis=lines.axis)
     of = WorldParticles(1, "snow", light.sizes, now.particles[0].fall_m_s, (2.0, -1.0, 0.0))
     drawn = of.in_beams(light, lines)
     assert drawn is not None
