@@ -203,8 +203,7 @@ def edges(
             else:
                 ended += 1
             place = min(max(min(starts, stops), least), most)
-            now, over = under_way(place, w, bin_m, half_m, first_bin, sub_first, sub_count, sub_range)
-            even, x, y = terms(now, over, a, real, imaginary)
+            even, x, y = terms(begun, ended, a, real, imaginary)  # one that begins or ends here adds nothing yet
             turn = wave_number * (place - bin_m * first_bin[w])
             height = max(even + np.cos(turn) * x + np.sin(turn) * y, 0.0)
             if hazy:

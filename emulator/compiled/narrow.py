@@ -241,7 +241,7 @@ def narrow(
                 kinds[i] = PANE if treated[kind] == PANE else LEFT
                 continue
             slope_u, slope_v = turns_u / facing_0 + above_u / above, turns_v / facing_0 + above_v / above
-            slope = np.hypot(slope_u, slope_v)
+            slope = np.sqrt(slope_u * slope_u + slope_v * slope_v)
             if not slope <= steepest:
                 continue
             to_u, to_v = (slope_u / slope, slope_v / slope) if slope > 0.0 else (1.0, 0.0)

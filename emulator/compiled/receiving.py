@@ -88,6 +88,18 @@ def _levels(height, z, dark, least, count, full_scale, shot_factor, level):
 
 
 @compiled()
+def _polar(swing, turn, count):
+    """Lengths and angles, 0 to half a turn, of numbers given by their real and imaginary parts, in place."""
+    for i in range(count):
+        x, y = swing[i], turn[i]
+        length = np.sqrt(x * x + y * y)
+        sum_ = length + abs(x)
+        share = y / (2.0 * max(length, 1e-300)) * (y / max(sum_, 1e-300))
+        angle = 2.0 * arc_sine_of_root(share, sum_ / (2.0 * max(length, 1e-300)))
+        swing[i], turn[i] = length, angle if x >= 0.0 else np.pi - angle
+
+
+@compiled()
 def _crossings(level, total, swing, turn, start_m, count, half_m, wave_number, crossing):
     """By the angle from the trough, which keeps its digits for a level far below the maximum."""
     for i in range(count):
@@ -319,8 +331,7 @@ def received(
                 if at == at_of[i]:
                     swing[i] = total[at]
                 else:
-                    swing[i] = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
-                    turn[i] = np.arctan2(imaginary[at], real[at])
+                    swing[i], turn[i] = real[at], imaginary[at]
             if under[i] > 0.0:
                 other = echoes + doubts
                 doubted[doubts], level[other] = i, max(level[i] - under[i], least_share * level[i])
@@ -329,9 +340,9 @@ def received(
                     at = _last_begun(level[other], at_of[i], size_of[i], begun)
                     sum_of[other] = swing[other] = total[at]
                     if at > at_of[i]:
-                        swing[other] = np.sqrt(real[at] * real[at] + imaginary[at] * imaginary[at])
-                        turn[other] = np.arctan2(imaginary[at], real[at])
+                        swing[other], turn[other] = real[at], imaginary[at]
                 doubts += 1
+        _polar(swing, turn, echoes + doubts)
         _crossings(level, sum_of, swing, turn, start_of, echoes + doubts, half_m, wave_number, crossing)
         for i in range(doubts):
             if crossing[doubted[i]] - crossing[echoes + i] > doubt_m:

@@ -32,7 +32,7 @@ from emulator.sensing.pruning import Pruned
 from emulator.sensing.rays import BundleCache, Rays, cast_rays, pose_at
 from emulator.sensing.sheets import bright_of
 from emulator.sensing.through import Ways
-from emulator.sensing.traced import DONE, UNEVEN, Bundle, traced
+from emulator.sensing.traced import DONE, UNEVEN, Bundle, Sensor, traced
 from emulator.sensing.traced import LEFT as UNTRACED
 from emulator.world.connected import pieces_of
 from emulator.world.motion import Motion, Pose
@@ -166,6 +166,7 @@ class Probing:
         self._bright_at_rest = np.concatenate([np.zeros((4, 0)), *resting], axis=1)
         self._bright_moving = [one for one in every if not one[0].still]
         self._law = self._numbers()
+        self._sensor = Sensor(model, OFF_PLANE_LSB * model.lsb_m)
         self._tilts = np.zeros(0), np.ones(0), np.zeros(0), np.zeros(0, np.int64)
         "Elevations of the latest sweep, their cosines and sines, and the order of its beams by them."
 
@@ -188,9 +189,9 @@ class Probing:
         kinds, made, material, actor, normal = first.kinds, first.made, first.material, first.actor, first.normal
         faces = first.faces
         what, cast = (self._caster, surfaces, air, model, gain, plan.max_range_m), first.cast
-        count, step = len(self.nodes), OFF_PLANE_LSB * model.lsb_m
+        count = len(self.nodes)
         others: list[SubEchoes] = []
-        rest = first.around, far, reach, weight, surfaces, air, model, step
+        rest = first.around, far, reach, weight, surfaces, air, self._sensor
         left = indexes(kinds == LEFT)
         traceable = np.full(n, first.around is not None)
         if first.around is not None and first.around.others.shape[1]:

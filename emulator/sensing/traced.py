@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from types import ModuleType
 from typing import Any
 
@@ -21,7 +22,7 @@ from emulator.physics.subechoes import SubEchoes
 from emulator.sensing import strips
 from emulator.sensing.air import AirNow
 from emulator.sensing.model import SensorModel
-from emulator.sensing.narrow import Beams
+from emulator.sensing.narrow import FEET, NUMBERS, Beams
 from emulator.sensing.paths import BEHIND_M, UNSEEN, Surfaces
 from emulator.sensing.through import MOST_STRIPS
 
@@ -46,6 +47,15 @@ class Bundle:
 
 
 @dataclass(frozen=True, eq=False)
+class Sensor:
+    """One that is itself, whatever others are like."""
+
+    model: SensorModel
+    step_m: float
+    "A probe may be off a smooth surface."
+
+
+@dataclass(frozen=True, eq=False)
 class Traced:
     """What came back to k beams."""
 
@@ -63,33 +73,57 @@ class Traced:
     "Rays of beams that are not left, without those that go on."
 
 
-def _traced_by_loops(
-    loops: ModuleType, beams_: Beams, at: Ints, bundle: Bundle, around: Any, far: float, reach_m: float, weight: Floats,
-    surfaces: Surfaces, air: AirNow, model: SensorModel, step_m: float,
-) -> Traced:  # fmt: skip
-    table, shape = surfaces.table, model.beam
-    bounces = model.bounces if surfaces.sends_on else 0
-    if around is None or air.uneven or len(bundle.nodes) * 2 ** (bounces + 1) > 1 << PLACE_BITS:
-        return OTHERWISE
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """What the pass is given that is the same in many sweeps."""
+
+    kinds: Ints
+    "(materials,)"
+    limits: Floats
+    "Numbers in the order of `compiled.tracing`; those of a sweep are put in."
+    judge: Floats
+    places: Floats
+    "(3, m) lengths over that of the axis, and places on the disc."
+    first: int
+    "The ray nearest the axis."
+
+
+@lru_cache(maxsize=32)
+def _fixed(nodes: beams.Bundle, surfaces: Surfaces, sensor: Sensor, extinction_per_m: float) -> _Fixed:
+    model, table, shape = sensor.model, surfaces.table, sensor.model.beam
     refused = table.apart if surfaces.detailed is None else table.apart | surfaces.detailed
     kinds = np.where(refused, REFUSED, np.where(surfaces.onward, GLASS, PLAIN))
-    nodes, spread = bundle.nodes, (math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad))
-    first = int(np.argmin(nodes.u**2 + nodes.v**2))
+    spread = math.tan(shape.half_angle_x_rad), math.tan(shape.half_angle_y_rad)
     limits = np.array([
-        *spread, shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), far, reach_m,
-        air.extinction_per_m, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
+        *spread, shape.exit_radius_m, math.cos(shape.roll_rad), math.sin(shape.roll_rad), 0.0, 0.0,
+        extinction_per_m, model.clear_depth if model.leave_out.clear_air else 0.0, model.k_m2,
         model.aperture_radius_m**2, model.overlap_start_m, model.overlap_full_m, surfaces.strongest,
-        UNSEEN * model.threshold if model.leave_out.second_rays else 0.0, BEHIND_M, around.suspicious, *spread,
+        UNSEEN * model.threshold if model.leave_out.second_rays else 0.0, BEHIND_M, 0.0, *spread,
     ])  # fmt: skip
-    lengths = _lengths(nodes, spread, shape.roll_rad)
-    judge = np.array([step_m, float((nodes.u * nodes.u).sum()), *strips.law(model), strips.WIDE])
+    judge = np.array([sensor.step_m, float((nodes.u * nodes.u).sum()), *strips.law(model), strips.WIDE])
+    places = np.array([_lengths(nodes, spread, shape.roll_rad), nodes.u, nodes.v])
+    mirrors = table.mirrors & (kinds == GLASS)
+    first = int(np.argmin(nodes.u**2 + nodes.v**2))
+    return _Fixed(np.where(mirrors, MIRROR, kinds), limits, judge, places, first)
+
+
+def _traced_by_loops(
+    loops: ModuleType, beams_: Beams, at: Ints, bundle: Bundle, around: Any, far: float, reach_m: float, weight: Floats,
+    surfaces: Surfaces, air: AirNow, sensor: Sensor,
+) -> Traced:  # fmt: skip
+    bounces = sensor.model.bounces if surfaces.sends_on else 0
+    if around is None or air.uneven or len(bundle.nodes) * 2 ** (bounces + 1) > 1 << PLACE_BITS:
+        return OTHERWISE
+    nodes, table = bundle.nodes, surfaces.table
+    fixed = _fixed(nodes, surfaces, sensor, air.extinction_per_m)
+    limits = fixed.limits.copy()
+    limits[5], limits[6], limits[16] = far, reach_m, around.suspicious
     solid = np.zeros(len(around.actor_of), np.bool_) if surfaces.solid is None else surfaces.solid
     verdict, nearest, material, normal, whole, sizes, cast, wrong = loops.traced(
-        *around.how, beams_.place, beams_.frame, at, bundle.phase_rad, np.array([nodes.u, nodes.v]), nodes.share, first,
+        *around.how, beams_.place, beams_.frame, at, bundle.phase_rad, fixed.places[1:], nodes.share, fixed.first,
         around.centre, limits, around.plane, around.body, around.offset, around.closed, around.actor_of,
-        around.material, solid, around.others, table.factors, np.where(table.mirrors & (kinds == GLASS), MIRROR, kinds),
-        table.optics, weight, bounces, bundle.judged, np.array([lengths, nodes.u, nodes.v]), judge,
-        np.array(strips.COUNTS), np.array(strips.FEET), strips.SHIFT, MOST_STRIPS,
+        around.material, solid, around.others, table.factors, fixed.kinds, table.optics, weight, bounces, bundle.judged,
+        fixed.places, fixed.judge, NUMBERS, FEET, strips.SHIFT, MOST_STRIPS,
         beams_.t_s, around.crossing.spheres, *around.crossing.how, *around.crossing.columns, *around.parts,
     )  # fmt: skip
     around.counters.rays += cast
@@ -102,12 +136,11 @@ def _traced_by_loops(
 @by_loops(_traced_by_loops, "traced")
 def traced(
     beams_: Beams, at: Ints, bundle: Bundle, around: Any, far: float, reach_m: float, weight: Floats,
-    surfaces: Surfaces, air: AirNow, model: SensorModel, step_m: float,
+    surfaces: Surfaces, air: AirNow, sensor: Sensor,
 ) -> Traced:  # fmt: skip
     """What comes back to the beams `at`, ascending; with arrays every one is left.
 
-    `around` : see `Caster.around`; `weight` : (n,) of the light of all beams; `step_m` : a probe may be off a smooth
-    surface.
+    `around` : see `Caster.around`; `weight` : (n,) of the light of all beams.
     """
     k = len(at)
     nothing = np.full(k, -1, np.int32)

@@ -2,11 +2,12 @@
 
     python tests/benchmarks/bench_layers.py [SLICES [MODEL ...]]
     python tests/benchmarks/bench_layers.py drive [MODEL ...]
+    python tests/benchmarks/bench_layers.py raw [MODEL ...]
 
 Measuring: scenario `velodyne_street`, everything moving, clear, in fog and rain with sun, and clear with one ray a
 beam. Processor time of this process, the best of five runs of each slice: it bears a machine with other work on it.
-Arrays alone are measured in clear air. The cast is that of `Caster`, of rays along the axes: not Embree's own. The
-receiver is what is left of the whole without what comes back (`Measure.view`).
+Arrays alone are measured in clear air. The receiver is what is left of the whole without what comes back
+(`Measure.view`).
 
 Casts beside it: rays of the same slices, one a beam, all from where the sensor is at the first instant, on triangles
 as they stand then: by `Caster`, for which they go on moving, and by embreex, Open3D and MuJoCo, for which they rest.
@@ -19,6 +20,11 @@ of the UDP link, to a socket of this machine.
 
 Drive: slices of the whole scenario, a hundred of them at even distances, the best of five runs of each: the cost
 changes with what is near, so its mean over the drive says whether a sensor keeps up, not that of the first slices.
+
+Raw: the same slices in clear air, whole, and casts of the very rays that were cast for them, probes, bundles, and those
+that go on from panes and mirrors: by `Caster`, for which bodies move meanwhile, and by embreex, Open3D and MuJoCo on
+the triangles as they stand when the slice begins. All in turns, the best of five each; the ratio is that of the sums
+over the drive. MuJoCo casts from one place alone, which is that of the first ray.
 
 Split: wall time of slices, handed to one measuring process and to two; of a quiet machine with a core for each.
 """
@@ -46,7 +52,6 @@ from emulator.compiled import switch  # noqa: E402
 from emulator.measuring.supervision import Workers  # noqa: E402
 from emulator.runtime import assembly  # noqa: E402
 from emulator.scenario import scenario  # noqa: E402
-from emulator.sensing.view import View  # noqa: E402
 from emulator.sensors.spec import load_spec  # noqa: E402
 from emulator.transports.udp_sender import open_link_udp  # noqa: E402
 from emulator.world import scene  # noqa: E402
@@ -195,10 +200,40 @@ def best_s(action: object, *given: object) -> float:
     return min(took)
 
 
-def cast_again(caster: Caster, view: View) -> None:
-    """As many first rays as the slice needed, each along its beam's axis: nothing but the cast."""
-    times = round(view.cast / len(view.rays.beam))
-    caster.first_hits(*(one.repeat(times, axis=0) for one in (view.rays.origin_m, view.rays.direction, view.rays.t_s)))
+def in_turns(actions: Mapping[str, Any]) -> dict[str, float]:
+    """Processor time of each, the best of five; one after another, so that all have the same machine."""
+    took = {name: np.inf for name in actions}
+    for _ in range(5):
+        for name, action in actions.items():
+            begin = time.process_time()
+            action()
+            took[name] = min(took[name], time.process_time() - begin)
+    return took
+
+
+def rays_cast(measure: Any, plan: ScanPlan) -> tuple[Any, Any, Any]:
+    """Origins and directions (m, 3) and instants (m,) of all rays that are cast for a slice: as with arrays."""
+    cast, found, within = Caster.first_hits, [], [False]
+
+    def noted(self: Caster, origin_m: Any, direction: Any, t_s: Any, **more: Any) -> Any:
+        if within[0]:
+            return cast(self, origin_m, direction, t_s, **more)
+        shape = direction.shape
+        found.append((np.broadcast_to(origin_m, shape), direction, np.broadcast_to(t_s, shape[:1])))
+        within[0] = True
+        try:
+            return cast(self, origin_m, direction, t_s, **more)
+        finally:
+            within[0] = False
+
+    Caster.first_hits = noted  # type: ignore[method-assign]
+    try:
+        with switch.switched(False):
+            measure.view(plan)
+    finally:
+        Caster.first_hits = cast  # type: ignore[method-assign]
+    origin_m, direction, t_s = (np.concatenate(columns) for columns in zip(*found, strict=True))
+    return origin_m, direction, t_s
 
 
 def measuring(model: str, count: int) -> None:
@@ -207,7 +242,6 @@ def measuring(model: str, count: int) -> None:
     period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (count - 1)
     for case in CASES:
         loaded = street(model, case)
-        caster = Caster(scene.build(loaded))
         arrays = (False,) if case == CLEAR or switch.kernels() is None else ()
         for loops in (*arrays, True) if switch.kernels() is not None else arrays:
             with switch.switched(loops):
@@ -216,24 +250,28 @@ def measuring(model: str, count: int) -> None:
                 whole = [best_s(measure, plan) for plan in plans]
                 seen = [best_s(measure.view, plan) for plan in plans]
                 views = [measure.view(plan) for plan in plans[::4]]
-                raw = [best_s(cast_again, caster, view) for view in views]
             beams = len(plans[0])
-            each, cast = float(np.mean(whole)) / beams, float(np.mean(raw)) / beams
+            each = float(np.mean(whole)) / beams
             rays = float(np.mean([view.cast for view in views])) / beams
             print(
                 f"{model}; {case}; {'loops' if loops else 'arrays'}; {1 / each:.3g};"
                 f" {period_s / (each * beams):.2f}; {rays:.1f}; {1e6 * each:.2f};"
-                f" {1e6 * (each - float(np.mean(seen)) / beams):.2f}; {1e6 * cast:.2f}; {each / cast:.1f}",
+                f" {1e6 * (each - float(np.mean(seen)) / beams):.2f}",
                 flush=True,
             )
 
 
-def driving(model: str) -> None:
-    """Print what slices of the whole drive cost, with loops where there are any."""
+def of_the_drive(model: str) -> tuple[list[ScanPlan], float]:
+    """Slices at even distances, and how long each lasts. [s]"""
     period_ns = np.diff([one.start_ns for one in plans_of(model, 2)])[0]
     plans = plans_of(model, int(1e9 * scenario.load(str(STREET)).duration_s / period_ns))
     period_s = 1e-9 * (plans[-1].start_ns - plans[0].start_ns) / (len(plans) - 1)
-    chosen = plans[:: max(1, len(plans) // OF_A_DRIVE)]
+    return plans[:: max(1, len(plans) // OF_A_DRIVE)], period_s
+
+
+def driving(model: str) -> None:
+    """Print what slices of the whole drive cost, with loops where there are any."""
+    chosen, period_s = of_the_drive(model)
     for case in (CLEAR, WETTEST):
         measure = assembly.build_measures(street(model, case))["roof"]
         measure(chosen[0])
@@ -244,6 +282,37 @@ def driving(model: str) -> None:
             f" {1e3 * took.mean() / len(chosen[0]):.2f}",
             flush=True,
         )
+
+
+def over_raw(model: str) -> None:
+    """Print what slices of the drive cost over casts of the rays that were cast for them."""
+    loaded = street(model, CLEAR)
+    world, measure = scene.build(loaded), assembly.build_measures(loaded)["roof"]
+    caster, took, rays, missing = Caster(world), dict[str, float](), 0, set[str]()
+    chosen, _ = of_the_drive(model)
+    measure(chosen[0])
+    for plan in chosen:
+        origin_m, direction, t_s = rays_cast(measure, plan)
+        casts: dict[str, Any] = {
+            "whole": partial(measure, plan), "ours": partial(caster.first_hits, origin_m, direction, t_s),
+        }  # fmt: skip
+        for name, made in OTHERS.items():
+            try:
+                start_m = origin_m[0] if name == "mujoco" else origin_m
+                casts[name] = made(world, float(t_s[0]), start_m, direction)[0]
+            except ImportError:
+                missing.add(name)
+        rays += len(direction)
+        for name, best in in_turns(casts).items():
+            took[name] = took.get(name, 0.0) + best
+    for name, whole_s in took.items():
+        print(
+            f"{model}; {name}; {rays / len(chosen):.0f}; {1e3 * whole_s / len(chosen):.2f}; {1e6 * whole_s / rays:.3f};"
+            f" {took['whole'] / whole_s:.2f}",
+            flush=True,
+        )
+    for name in sorted(missing):
+        print(f"{model}; {name}: not installed", flush=True)
 
 
 def beside(model: str, count: int) -> None:
@@ -305,15 +374,17 @@ def main() -> None:
         for model in sys.argv[2:] or list(MODELS):
             driving(model)
         return
+    if sys.argv[1:2] == ["raw"]:
+        print("raw: model; what; rays a slice; ms a slice; us a ray; whole over it")
+        for model in sys.argv[2:] or list(MODELS):
+            over_raw(model)
+        return
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     models = sys.argv[2:] or list(MODELS)
     print("packets: model; profile or return mode; size; packets; processor time of a packet, the best")
     for model in models:
         packets(model)
-    print(
-        "beams: model; case; form; beams/s measured; share of real time; rays/beam; us/beam; receiver us/beam;"
-        " raw cast us/beam; whole/raw"
-    )
+    print("beams: model; case; form; beams/s measured; share of real time; rays/beam; us/beam; receiver us/beam")
     for model in models:
         measuring(model, count)
     print("casts beside it: model; caster; triangles; rays; us/ray; rays/s; ours/it; agree within 1 mm with ours")

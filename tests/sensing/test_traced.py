@@ -140,6 +140,21 @@ def test_the_same_rays_are_too_faint_to_be_followed(gain: float, verdicts: list[
     assert count(verdicts, DONE) > 100
 
 
+@pytest.mark.parametrize("sub_beams", [61, 301])
+def test_sub_echoes_of_a_beam_come_by_range_whether_they_are_counted_or_sorted(
+    sub_beams: int, verdicts: list[Traced]
+) -> None:
+    compare(measure_of(street(), PUCK, noise=False, sub_beams=sub_beams, bounces=1), layers(1280))
+    from emulator.compiled.tracing import MOST_COUNTED
+
+    found = verdicts[-1].found  # of bundles, which come last
+    counts = np.bincount(found.beam)
+    assert counts.max() > 100
+    assert (counts.max() > MOST_COUNTED) == (sub_beams > MOST_COUNTED)
+    assert bool((np.diff(found.beam) >= 0).all())
+    assert bool((np.diff(found.range_m)[np.diff(found.beam) == 0] >= -1e-6).all())
+
+
 def test_panes_that_face_the_sensor_send_light_back_and_are_left(verdicts: list[Traced]) -> None:
     compare(measure_of(street(windows=(0.0, 0.0)), PUCK, noise=False), layers(1280, -5.0, 5.0))
     assert 0 < count(verdicts, LEFT) < 0.2 * count(verdicts, DONE)
@@ -199,8 +214,8 @@ def test_with_arrays_every_beam_is_left() -> None:
         bundle = traced.Bundle(measure._probing.nodes, np.zeros(2), judged=True)  # type: ignore[union-attr]
         air = measure.air.at(0.0)
         made = traced.traced(
-            beams, np.array([3, 5]), bundle, None, 100.0, 100.0, np.ones(len(plan)), measure._dry, air, measure.model,
-            1e-3,
+            beams, np.array([3, 5]), bundle, None, 100.0, 100.0, np.ones(len(plan)), measure._dry, air,
+            traced.Sensor(measure.model, 1e-3),
         )  # fmt: skip
     assert (made.verdict == LEFT).all()
     assert len(made.found) == 0
