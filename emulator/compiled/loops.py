@@ -8,6 +8,7 @@ from emulator.compiled.hazy import bent, lifted
 from emulator.compiled.leaves import leaves
 from emulator.compiled.maxima import edges, maxima
 from emulator.compiled.media import crossed_under, ended_under
+from emulator.compiled.merging import merged
 from emulator.compiled.moving import cones, moving, near, pairs
 from emulator.compiled.narrow import narrow
 from emulator.compiled.packets import Packets, library
@@ -38,6 +39,7 @@ __all__ = [
     "library",
     "lifted",
     "maxima",
+    "merged",
     "moving",
     "narrow",
     "near",

@@ -20,6 +20,7 @@ from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import Bools, Floats, Ints, clamped, floats, group_starts, indexes, ramp
 
 NO_SOURCE = -1
+NO_BEAMS, NO_SPREAD = np.zeros(0, np.bool_), np.zeros(0)
 Number = TypeVar("Number", np.float64, np.int64)
 
 
@@ -100,24 +101,41 @@ class SubEchoes:
 
     def replaced(self, beams: Bools, others: SubEchoes) -> SubEchoes:
         """With `others`, which are all of these beams (n,), instead of its own there."""
-        kept = indexes(~beams[self.beam])
-        order = np.concatenate([self.beam[kept], others.beam]).argsort(kind="stable")  # of two runs: they are merged
-        first = np.concatenate([kept, len(self) + np.arange(len(others))])[order]
-        return _of_columns(self, others, partial(_taken, first))
+        return _combined(self, others, beams)
 
     @classmethod
     def joined(cls, *parts: SubEchoes) -> SubEchoes:
         """All sub-echoes of several sources, surfaces and drops for instance."""
         whole = parts[0]
         for part in parts[1:]:
-            whole = _merged(whole, part)
+            if not len(whole) or not len(part):
+                whole = whole if len(whole) else part
+            else:
+                whole = _combined(whole, part, NO_BEAMS)
         return whole
 
 
-def _merged(one: SubEchoes, other: SubEchoes) -> SubEchoes:
-    """Both, sorted as they are; those of the first come first among equals."""
-    if not len(one) or not len(other):
-        return one if len(one) else other
+def _combined_by_loops(loops: ModuleType, one: SubEchoes, other: SubEchoes, without: Bools) -> SubEchoes:
+    spread, spreads = (NO_SPREAD if part.spread_m is None else part.spread_m for part in (one, other))
+    (beam, source), (range_m, amplitude, blocked, spread_m), k = loops.merged(
+        one.beam, one.range_m, one.amplitude, one.blocked, one.source, spread,
+        other.beam, other.range_m, other.amplitude, other.blocked, other.source, spreads, without,
+    )  # fmt: skip
+    none = one.spread_m is None and other.spread_m is None
+    return SubEchoes(beam[:k], range_m[:k], amplitude[:k], blocked[:k], source[:k], None if none else spread_m[:k])
+
+
+@by_loops(_combined_by_loops, "merged")
+def _combined(one: SubEchoes, other: SubEchoes, without: Bools) -> SubEchoes:
+    """Both, sorted as they are; those of the first come first among equals.
+
+    `without`: (n,) beams that lose those of the first, and that all of the other are of; (0,): all are kept.
+    """
+    if len(without):
+        kept = indexes(~without[one.beam])
+        places = np.concatenate([one.beam[kept], other.beam]).argsort(kind="stable")  # of two runs: they are merged
+        first = np.concatenate([kept, len(one) + np.arange(len(other))])[places]
+        return _of_columns(one, other, partial(_taken, first))
     # of numbers so far apart that beams stay apart, the fewer are looked up among the others
     low = min(0.0, float(one.range_m.min()), float(other.range_m.min()))
     length = max(float(one.range_m.max()), float(other.range_m.max())) - low + 1.0
