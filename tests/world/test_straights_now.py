@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from emulator.live.book import Book, Rules
@@ -17,7 +17,18 @@ MOVES = ("even", "even", "rests", "turns", "jumps", "absent", "removed", "grows"
 NAMES = ("ego", "car", "van", "guest")
 REFERENCES = ("origin", "box_centre", "rear_axle", "ground")
 BOX = Box((0.3, -0.1, 0.8), (2.0, 0.9, 0.7))
-STEPS = st.lists(st.tuples(*(st.sampled_from(MOVES) for _ in NAMES)), min_size=1, max_size=12)
+Step = tuple[tuple[str, ...], bool]
+STEPS = st.lists(st.tuples(st.tuples(*(st.sampled_from(MOVES) for _ in NAMES)), st.booleans()), min_size=1, max_size=12)
+"What each actor does, and whether there is a sweep then."
+BETWEEN_SWEEPS: list[list[Step]] = [
+    [((move,) * len(NAMES), sweep) for move, sweep in zip(moves, (True, False, False, False, True), strict=True)]
+    for moves in (
+        ("absent", "even", "removed", "absent", "absent"),
+        ("even", "grows", "even", "even", "even"),
+        ("even", "turns", "even", "even", "even"),
+    )
+]
+"They come and go, become others, turn."
 
 
 def motions_of(now: FedNow) -> list[Fed]:
@@ -35,9 +46,10 @@ def motions_of(now: FedNow) -> list[Fed]:
 
 @settings(max_examples=100, deadline=None)
 @given(STEPS, st.permutations(REFERENCES), st.sampled_from(("hold", "remove")))
-def test_all_at_once_are_what_each_is_alone(
-    steps: list[tuple[str, ...]], references: list[str], silent_then: str
-) -> None:
+@example(BETWEEN_SWEEPS[0], list(REFERENCES), "hold")
+@example(BETWEEN_SWEEPS[1], list(REFERENCES), "hold")
+@example(BETWEEN_SWEEPS[2], list(REFERENCES), "hold")
+def test_all_at_once_are_what_each_is_alone(steps: list[Step], references: list[str], silent_then: str) -> None:
     """Whatever has been kept of the sweeps before: actors come, go, grow, turn, jump and fall silent."""
     book = Book(
         Rules(silent_after_s=2.5 * STEP_S, silent_then=silent_then),
@@ -48,7 +60,7 @@ def test_all_at_once_are_what_each_is_alone(
     now = FedNow()
     kept = StraightsNow(motions_of(now))
     x_m, yaw_deg, length_m = dict.fromkeys(NAMES, 0.0), dict.fromkeys(NAMES, 30.0), dict.fromkeys(NAMES, 4.0)
-    for k, moves in enumerate(steps):
+    for k, (moves, sweeps) in enumerate(steps):
         actors: list[dict[str, object]] = []
         for name, reference, move in zip(NAMES, references, moves, strict=True):
             x_m[name] += {"even": 9.0 * STEP_S, "jumps": 50.0}.get(move, 0.0)
@@ -60,6 +72,8 @@ def test_all_at_once_are_what_each_is_alone(
                 actors.append({**sample, "reference": reference, "size_m": [length_m[name], 1.8, 1.5]})
         removed = [name for name, move in zip(NAMES, moves, strict=True) if move == "removed"]
         book.take(update_of({"actors": actors, "removed": removed}), round(k * STEP_S * 1e9))
+        if not sweeps:
+            continue
         world = book.world((k - 1.3) * STEP_S, k * STEP_S)
         now.use(world)
         alone = FedNow()
