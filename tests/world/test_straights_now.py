@@ -20,12 +20,13 @@ BOX = Box((0.3, -0.1, 0.8), (2.0, 0.9, 0.7))
 Step = tuple[tuple[str, ...], bool]
 STEPS = st.lists(st.tuples(st.tuples(*(st.sampled_from(MOVES) for _ in NAMES)), st.booleans()), min_size=1, max_size=12)
 "What each actor does, and whether there is a sweep then."
+SWEEPS = (True, *[False] * 5, True)
 BETWEEN_SWEEPS: list[list[Step]] = [
-    [((move,) * len(NAMES), sweep) for move, sweep in zip(moves, (True, False, False, False, True), strict=True)]
+    [((move,) * len(NAMES), sweep) for move, sweep in zip(moves, SWEEPS, strict=True)]
     for moves in (
-        ("absent", "even", "removed", "absent", "absent"),
-        ("even", "grows", "even", "even", "even"),
-        ("even", "turns", "even", "even", "even"),
+        ("absent", "even", "removed", *["absent"] * 4),
+        ("even", "grows", *["even"] * 5),
+        ("even", "turns", *["even"] * 5),
     )
 ]
 "They come and go, become others, turn."
