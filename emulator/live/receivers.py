@@ -9,9 +9,12 @@ from __future__ import annotations
 import contextlib
 import select
 import socket
+import struct
+import sys
 import threading
+import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Protocol
 
 from emulator.live import json_lines
@@ -28,6 +31,11 @@ RECEIVE_BYTES = 8 << 20
 "Asked of the kernel for datagrams; it gives `net.core.rmem_max` at most."
 READ_BYTES = 1 << 16
 WAIT_S = 0.25
+STAMPS = 35 if sys.platform == "linux" else None
+"SO_TIMESTAMPNS: the kernel says when a datagram came, as CLOCK_REALTIME has it; Python has no name for it."
+STAMP_ROOM = socket.CMSG_SPACE(16) if STAMPS is not None else 0
+MOST_UNREAD_NS = 1_000_000_000
+"A datagram that is said to have waited longer has not: the computer's clock was set."
 
 Take = Callable[[Update, int], None]
 Refuse = Callable[[str, int], None]
@@ -94,6 +102,19 @@ def message_in(held: bytearray) -> bytes | None:
     return message
 
 
+def unread_ns(ancillary: Iterable[tuple[int, int, bytes]], now_ns: int) -> int:
+    """How long a datagram has waited to be read, by the kernel's stamp of its arrival; 0: it has none that can be.
+
+    `ancillary` : as `socket.recvmsg` has it; `now_ns` : CLOCK_REALTIME.
+    """
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == STAMPS and len(data) == 16:
+            seconds, nanoseconds = struct.unpack("@qq", data)
+            waited = now_ns - (1_000_000_000 * seconds + nanoseconds)
+            return waited if 0 <= waited <= MOST_UNREAD_NS else 0
+    return 0
+
+
 class Budget:
     """So many updates a second, in bursts of a tenth."""
 
@@ -129,6 +150,9 @@ class Receiver:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             else:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+                if STAMPS is not None:
+                    with contextlib.suppress(OSError):  # then it has come when it is read
+                        self._socket.setsockopt(socket.SOL_SOCKET, STAMPS, 1)
             self._socket.bind((host, port))
             if tcp:
                 self._socket.listen(MOST_CONNECTIONS)
@@ -151,8 +175,10 @@ class Receiver:
             self._thread.join(2.0)
         self._socket.close()
 
-    def _one(self, data: bytes, peer: object) -> None:
+    def _one(self, data: bytes, peer: object, unread_ns: int = 0) -> None:
+        """`unread_ns`: it came so long ago: this thread waits for others of the process."""
         now_ns = self._clock_ns()
+        now_ns -= min(unread_ns, now_ns)
         if not self._budget.has_room(now_ns):
             self.counts["too many updates"] += 1
             return
@@ -170,11 +196,11 @@ class Receiver:
                 continue
             for _ in range(MOST_AT_ONCE):
                 try:
-                    data, peer = self._socket.recvfrom(READ_BYTES)
+                    data, ancillary, _, peer = self._socket.recvmsg(READ_BYTES, STAMP_ROOM)
                 except OSError:
                     break
                 self.counts["datagrams"] += 1
-                self._one(data, peer)
+                self._one(data, peer, unread_ns(ancillary, time.time_ns()))
 
     def _tcp_loop(self) -> None:
         held: dict[socket.socket, bytearray] = {}
