@@ -276,6 +276,8 @@ class Feeding:
         """Counts, ages, errors of extrapolation, the feeder's clock."""
         reported: dict[str, object] = {"feed": self.live.feed, **_counts(self.book.counts), **self.book.ages.report()}
         reported["actors"] = len(self.book.actors())
+        if self._real_ns is not None:
+            reported["in_slices"] = self._in_slices
         if self._real_ns is not None and self._maps == "offset":
             reported |= {
                 "offset_ms": round(self._clock.offset_ns * 1e-6, 3),
@@ -284,6 +286,10 @@ class Feeding:
             }
         reported["last_event"] = self.book.events[-1][1] if self.book.events else None
         return reported
+
+    @property
+    def _in_slices(self) -> int:
+        return sum(one.in_slices for one in self._slicing.values())
 
     def lines(self) -> list[str]:
         """The same for people."""
@@ -302,6 +308,7 @@ class Feeding:
                 f"feed: the newest sample is {newest:.1f} ms old when a sweep is begun, {ahead:.1f} ms before the beam"
                 f" (medians); measuring takes {took:.1f} ms, p99 {1e3 * ages.took.share(0.99):.1f} ms; play-out delay"
                 f" {1e-6 * self._clock.delay_ns:.1f} ms"
+                + (f"; {self._in_slices} of {ages.took.count} sweeps in slices of time" if self._in_slices else "")
             )
         if isinstance(off := report["error_mm"], Mapping) and isinstance(turn := report["error_mrad"], Mapping):
             found.append(

@@ -39,6 +39,8 @@ class Slicing:
     def __init__(self) -> None:
         self.lead = Lead()
         "Of whole sweeps, or of the last slice of each: as they are measured now."
+        self.in_slices = 0
+        "Sweeps that have come in slices."
         self.of = 1
         "Slices, as they are measured now."
         self._share = SHARE
@@ -51,6 +53,7 @@ class Slicing:
 
     def add(self, took_ns: float, of: int) -> None:
         """A sweep has come so long after it, or the last of its slices, was to be asked for."""
+        self.in_slices += of > 1
         if of != self.of:  # it was asked for before the change
             return
         self.lead.add(took_ns)
