@@ -1,7 +1,7 @@
 """A fed LMS291 on a clock of the test: one process measures its sweeps, whole or in slices of time.
 
-The real thing are the feed, its choice of slices and the instants of asking; the process takes as long as the test says.
-The sender wakes up 0.2 ms late in the mean and needs 0.3 ms for a telegram.
+The real thing are the feed, its choice of slices and the instants of asking; the process takes as long as the test
+says. The sender wakes up 0.2 ms late in the mean and needs 0.3 ms for a telegram.
 """
 
 from __future__ import annotations

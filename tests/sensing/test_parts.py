@@ -112,7 +112,7 @@ def test_a_slice_ends_at_the_pause_between_two_turns() -> None:
 
 @pytest.mark.parametrize(("count", "of"), [(361, 2), (361, 3), (64, 4), (5, 7), (1, 1)])
 def test_every_beam_is_in_one_slice_and_none_fires_before_one_of_the_slice_before(count: int, of: int) -> None:
-    fire_s = np.random.default_rng(count).permutation(count) * 1e-4
+    fire_s = 1e-4 * np.random.default_rng(count).permutation(count).astype(np.float64)
     wanted = replace(plan(np.zeros(count)), fire_offset_s=fire_s)
     found = [slice_of(wanted, k, of) for k in range(of)]
     assert np.sort(np.concatenate(found)).tolist() == list(range(count))
