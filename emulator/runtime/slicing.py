@@ -15,7 +15,7 @@ import numpy as np
 
 from emulator.measuring.parts import slice_of
 from emulator.physics.arrays import Floats, Ints
-from emulator.runtime.lead import MARGIN_NS, Lead
+from emulator.runtime.lead import MARGIN_NS, QUICK, Lead
 from protocols.scan import ScanPlan
 
 SLICES = 2
@@ -46,6 +46,8 @@ class Slicing:
         "Sweeps that have come in slices."
         self.of = 1
         "Slices, as they are measured now."
+        self._mean_ns = 0.0
+        "What they take; unlike that of the lead, a machine that is held up moves it at once."
         self._sweeps = 0
         "Measured as they are now."
         self._until, self._rest = KNOWN_AFTER, FIRST_REST
@@ -57,6 +59,7 @@ class Slicing:
         if of != self.of:  # it was asked for before the change
             return
         self.lead.add(took_ns)
+        self._mean_ns += QUICK * (took_ns - self._mean_ns)
         self._sweeps += 1
 
     def beams(self, plan: ScanPlan, number: int) -> Ints:
@@ -86,7 +89,7 @@ class Slicing:
         if self.of == 1:
             if may and self._sweeps >= self._until and self._is_worth_it(plan):
                 self._change(SLICES, SHARE)
-        elif not may or self.of * self.lead.mean_ns > MOST_BUSY * 1e9 * plan.duration_s:
+        elif not may or self.of * self._mean_ns > MOST_BUSY * 1e9 * plan.duration_s:
             self._rest = FIRST_REST if self._sweeps >= HELD else min(2 * self._rest, LONGEST_REST)
             self._until = self._rest
             self._change(1, 1.0 / SHARE)
@@ -108,3 +111,4 @@ class Slicing:
     def _change(self, of: int, share: float) -> None:
         self.of, self._sweeps = of, 0
         self.lead = self.lead.times(share)
+        self._mean_ns = self.lead.mean_ns
