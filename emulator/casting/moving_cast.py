@@ -11,7 +11,7 @@ Meshes that change their shape are cast by slices (deforming).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from types import ModuleType
 
 import numpy as np
@@ -32,6 +32,7 @@ from emulator.world.triangles import Floats, Ints
 
 NOWHERE = 0, 1, 0, 0
 "A search that is never asked for."
+NO_SPHERES: Floats = np.zeros((4, 0))
 NEARBY_M = 0.1
 "A sphere that is passed at this distance is looked at: no lens is larger."
 
@@ -197,13 +198,10 @@ class MovingCast:
     def around(self, origin: Floats, times: Floats, far: float) -> tuple[Crossing, Floats]:
         """What a pass needs that casts itself on all that may come within reach of (3, m) at these instants; centres
         and radii (4, b) of spheres that hold those that it cannot cast on."""
-        nothing = Crossing(np.zeros((4, 0)), NOWHERE, _columns(self._all.chosen(np.zeros(0, np.int64))))
-        if not len(self):
-            return nothing, nothing.spheres
         begin, end = float(times.min()), float(times.max())
-        movers = self._near(*extent(origin), begin, end, far + NEARBY_M)
+        movers = self._near(*extent(origin), begin, end, far + NEARBY_M) if len(self) else self._all
         if not len(movers.body):
-            return nothing, nothing.spheres
+            return self._nothing, NO_SPHERES
         now, place, swept, curved = _whereabouts(movers, begin, end)
         if self._fed is not None and len(curved):
             near = self._looked(movers, times, curved)
@@ -213,8 +211,13 @@ class MovingCast:
                 near[0].fill(place, swept)
         spheres = np.concatenate([place, (movers.reach + swept + NEARBY_M)[None]])
         if not self._packets or len(self._slots) != 1 or movers.scale is not None or len(curved):
-            return nothing, spheres
-        return Crossing(spheres, self._slots[0].how, _columns(movers, now)), nothing.spheres
+            return self._nothing, spheres
+        return Crossing(spheres, self._slots[0].how, _columns(movers, now)), NO_SPHERES
+
+    @cached_property
+    def _nothing(self) -> Crossing:
+        """For a pass that casts on none of them."""
+        return Crossing(NO_SPHERES, NOWHERE, _columns(self._all.chosen(np.zeros(0, np.int64))))
 
     def met(
         self,

@@ -28,15 +28,8 @@ def cell_of(range_m, knots, cells, cell):
 
 @compiled()
 def cubic(which, i, t, cubics):
-    """A (0), real (1) or imaginary part (2) of B, so far behind a knot."""
-    return ((cubics[9 + which, i] * t + cubics[6 + which, i]) * t + cubics[3 + which, i]) * t + cubics[which, i]
-
-
-@compiled()
-def integral(which, range_m, knots, cubics, cells, cell):
-    """The same up to a range."""
-    i, t = cell_of(range_m, knots, cells, cell)
-    return cubic(which, i, t, cubics)
+    """A (0), real (1) or imaginary part (2) of B, so far behind a knot: what is read together lies together."""
+    return ((cubics[i, 9 + which] * t + cubics[i, 6 + which]) * t + cubics[i, 3 + which]) * t + cubics[i, which]
 
 
 @compiled()
@@ -55,10 +48,11 @@ def bounds(number, edged, first, bin_m, wave_number, ends):
 def stopped(range_m, blocked, start, count, sums, at, knots, cubics, cells, cell):
     """Set `AirUnder.sums` of one cluster behind `at`."""
     for k in range(start, start + count):
-        share, r = blocked[k], range_m[k]
+        share = blocked[k]
         sums[0, at + 1] = sums[0, at] + share
+        i, t = cell_of(range_m[k], knots, cells, cell)
         for part in range(3):
-            sums[1 + part, at + 1] = sums[1 + part, at] + share * integral(part, r, knots, cubics, cells, cell)
+            sums[1 + part, at + 1] = sums[1 + part, at] + share * cubic(part, i, t, cubics)
         at += 1
 
 

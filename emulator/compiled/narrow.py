@@ -14,7 +14,7 @@ from emulator.compiled.casting import LONGER, LONGEST
 from emulator.compiled.jit import EMBREE, FLAGS, FLOAT, FLOATS, INT, INTS, ROWS, TURNS, WORDS, compiled
 from emulator.compiled.moving import cross
 from emulator.compiled.packets import DIRECTION, GEOMETRY, TFAR, TRIANGLE, room, send
-from emulator.compiled.strips import reflected, strips_wanted
+from emulator.compiled.strips import one_does, reflected, strips_wanted
 
 TOGETHER = 32
 "Beams whose rays are held together."
@@ -23,31 +23,13 @@ NOTHING, CLOSED, BUNDLE, LEFT, PANE = 0, 1, 3, 4, 5
 
 
 @compiled()
-def _touched(ox, oy, oz, ax, ay, az, spheres, spread, pupil, farthest):
-    """Whether a beam's cone comes into one of these spheres (4, s) before the farthest that its probes have met."""
-    for s in range(spheres.shape[1]):
-        x, y, z, radius = spheres[0, s] - ox, spheres[1, s] - oy, spheres[2, s] - oz, spheres[3, s]
-        along = x * ax + y * ay + z * az
-        wide = radius + pupil + spread * max(along, 0.0)
-        if along <= -wide or along - wide > farthest:
-            continue
-        if x * x + y * y + z * z - along * along <= wide * wide:
-            return True
-    return False
-
-
-@compiled()
-def _off(range_m, base, places, share, above, above_u, above_v, facing, turns_u, turns_v):
-    """Mean and largest distance of a beam's probes behind a plane, along the probes."""
-    bias = most = 0.0
-    for p in range(len(share)):
-        met = (above - above_u * places[1, p] - above_v * places[2, p]) / (
-            facing + turns_u * places[1, p] + turns_v * places[2, p]
-        )
-        away = range_m[base + p] - places[0, p] * met
-        most = away if away > most else -away if -away > most else most if away == away else np.inf
-        bias += share[p] * away
-    return bias, most
+def _entered(x, y, z, radius, ax, ay, az, spread, pupil):
+    """How far along its axis a beam's cone comes into a sphere that is so far from it; infinite: it does not."""
+    along = x * ax + y * ay + z * az
+    wide = radius + pupil + spread * max(along, 0.0)
+    if along <= -wide or not x * x + y * y + z * z - along * along <= wide * wide:
+        return np.inf
+    return along - wide
 
 
 @compiled(
@@ -80,9 +62,17 @@ def narrow(
     rows = np.zeros((7, n))
     what, normal = np.empty((2, n), np.int32), np.zeros((3, n))
     packet, flags, lanes = room(width)
-    most = TOGETHER * k
+    most = TOGETHER * k  # whole packets: a width is a power of two, 16 at the most
     origin, way = np.empty((3, most)), np.empty((3, most))
     range_m, facing, triangle, body = np.empty(most), np.empty(most), np.empty(most, np.int64), np.empty(most, np.int64)
+    # the same by packets and by beams: an index that is a sum is looked at for being negative, ray by ray
+    starts, ways = origin.reshape(3, most // width, width), way.reshape(3, most // width, width)
+    own_starts, own_ways = origin.reshape(3, TOGETHER, k), way.reshape(3, TOGETHER, k)
+    ranges, turns_of = range_m.reshape(most // width, width), facing.reshape(most // width, width)
+    faces, bodies = triangle.reshape(most // width, width), body.reshape(most // width, width)
+    own_ranges, own_turns = range_m.reshape(TOGETHER, k), facing.reshape(TOGETHER, k)
+    own_faces, own_bodies = triangle.reshape(TOGETHER, k), body.reshape(TOGETHER, k)
+    longest = np.float32(min(far * LONGER, LONGEST))
     rests, they = len(material_of), around.shape[1]
     their_at, turned_normal, times = there.copy(), np.empty((3, most)), np.empty(most)
     which, touched = np.empty(most, np.int64), np.empty(most, np.int64)
@@ -98,55 +88,61 @@ def narrow(
             for axis in range(3):
                 forward, left, up = frame[0, axis, i], frame[1, axis, i], frame[2, axis, i]
                 here = place[axis, i] - centre[axis]
-                to, by = origin[axis, one * k : one * k + k], way[axis, one * k : one * k + k]
                 for p in range(k):
-                    by[p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
-                    to[p] = here + left * aim[3, p] + up * aim[4, p]
-        for first in range(0, rays, width):
-            used = min(width, rays - first)
+                    own_ways[axis, one, p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
+                    own_starts[axis, one, p] = here + left * aim[3, p] + up * aim[4, p]
+        for block in range((rays + width - 1) // width):
+            used = min(width, rays - block * width)
             for axis in range(3):
-                to, by, here, forth = packet[axis], packet[DIRECTION + axis], origin[axis], way[axis]
                 for lane in range(used):
-                    to[lane] = here[first + lane]
+                    packet[axis, lane] = starts[axis, block, lane]
                 for lane in range(used):
-                    by[lane] = forth[first + lane]
+                    packet[DIRECTION + axis, lane] = ways[axis, block, lane]
             for lane in range(used):
-                packet[TFAR, lane] = min(far * LONGER, LONGEST)
+                packet[TFAR, lane] = longest
+            for lane in range(used):
                 flags[TRIANGLE, lane] = -1
+            for lane in range(used):
                 flags[GEOMETRY, lane] = -1
+            for lane in range(used):
                 total = packet[0, lane] + packet[1, lane] + packet[2, lane]
                 total += packet[DIRECTION, lane] + packet[DIRECTION + 1, lane] + packet[DIRECTION + 2, lane]
                 lanes[lane] = -1 if total - total == np.float32(0.0) else 0
             send(function, scene, arguments, packet, lanes, used)
             for lane in range(used):
-                ray, at = first + lane, np.int64(flags[TRIANGLE, lane])
+                at = np.int64(flags[TRIANGLE, lane])
                 if at < 0 or lanes[lane] == 0:
-                    range_m[ray], facing[ray], triangle[ray] = np.inf, 0.0, -1
+                    ranges[block, lane], turns_of[block, lane], faces[block, lane] = np.inf, 0.0, -1
                     continue
                 at += offset
                 nx, ny, nz = plane[at, 0], plane[at, 1], plane[at, 2]
-                turned = nx * way[0, ray] + ny * way[1, ray] + nz * way[2, ray]
-                above = nx * origin[0, ray] + ny * origin[1, ray] + nz * origin[2, ray]
+                turned = nx * ways[0, block, lane] + ny * ways[1, block, lane] + nz * ways[2, block, lane]
+                above = nx * starts[0, block, lane] + ny * starts[1, block, lane] + nz * starts[2, block, lane]
                 refined, distance = (plane[at, 3] - above) / turned, packet[TFAR, lane]
                 if not abs(refined - distance) <= suspicious * (1.0 + distance):
                     refined = np.float64(distance)
                     wrong += 1
-                range_m[ray], facing[ray], triangle[ray], body[ray] = max(refined, 0.0), turned, at, body_of[at]
-                if refined > far:
-                    range_m[ray], facing[ray], triangle[ray] = np.inf, 0.0, -1
+                beyond = refined > far
+                ranges[block, lane] = np.inf if beyond else max(refined, 0.0)
+                turns_of[block, lane] = 0.0 if beyond else turned
+                faces[block, lane], bodies[block, lane] = -1 if beyond else at, body_of[at]
         cast += rays
         for mover in range(they):
             pairs = 0
             for one in range(count):
-                i, base, farthest = order[begin + one], one * k, -1.0
+                i = order[begin + one]
+                entered = _entered(
+                    around[0, mover] - place[0, i], around[1, mover] - place[1, i], around[2, mover] - place[2, i],
+                    around[3, mover], frame[0, 0, i], frame[0, 1, i], frame[0, 2, i], spread, pupil,
+                )  # fmt: skip
+                if entered == np.inf:
+                    continue
+                farthest = -1.0
                 for p in range(k):
-                    farthest = max(farthest, range_m[base + p])
-                if _touched(
-                    place[0, i], place[1, i], place[2, i], frame[0, 0, i], frame[0, 1, i], frame[0, 2, i],
-                    around[:, mover : mover + 1], spread, pupil, farthest,
-                ):  # fmt: skip
+                    farthest = max(farthest, own_ranges[one, p])
+                if entered <= farthest:
                     for p in range(k):
-                        which[pairs], touched[pairs], times[base + p] = mover, base + p, t_s[i]
+                        which[pairs], touched[pairs], times[one * k + p] = mover, one * k + p, t_s[i]
                         pairs += 1
             if pairs > 0:
                 sent, odd = cross(
@@ -164,7 +160,7 @@ def narrow(
             i, base = order[begin + one], one * k
             ox, oy, oz = place[0, i], place[1, i], place[2, i]
             ax, ay, az = frame[0, 0, i], frame[0, 1, i], frame[0, 2, i]
-            at = triangle[base]
+            at = own_faces[one, 0]
             what[0, i] = what[1, i] = -1
             if at >= 0:
                 side = -1.0 if facing[base] > 0.0 else 1.0
@@ -174,21 +170,33 @@ def narrow(
                 what[1, i] = actor_of[body[base]]
             nearest, farthest, met, inner, same = np.inf, -1.0, 0, False, True
             for p in range(k):
-                at, r = triangle[base + p], range_m[base + p]
+                at, r = own_faces[one, p], own_ranges[one, p]
                 farthest = max(farthest, r)
                 if at < 0:
                     same = False
                     continue
                 nearest = min(nearest, r)
                 met += r <= reach
-                inner |= facing[base + p] > 0.0 and closed[at]
-                own = material_of[at] if at < rests else part_material[parts_of[body[base + p]] + part_of[at]]
-                same = same and own == what[0, i] and actor_of[body[base + p]] == what[1, i]
-            made[0, i], made[1, i] = nearest if met else np.inf, range_m[base]
-            if inner or _touched(ox, oy, oz, ax, ay, az, movers, spread, pupil, farthest):
+                inner |= own_turns[one, p] > 0.0 and closed[at]
+                whose = own_bodies[one, p]
+                own = material_of[at] if at < rests else part_material[parts_of[whose] + part_of[at]]
+                same = same and own == what[0, i] and actor_of[whose] == what[1, i]
+            made[0, i], made[1, i] = nearest if met else np.inf, own_ranges[one, 0]
+            unsure = inner
+            for s in range(0 if inner else movers.shape[1]):
+                entered = _entered(
+                    movers[0, s] - ox, movers[1, s] - oy, movers[2, s] - oz, movers[3, s], ax, ay, az, spread, pupil
+                )
+                unsure |= entered < np.inf and entered <= farthest
+            if unsure:
                 kinds[i] = LEFT
                 continue
-            if _touched(ox, oy, oz, ax, ay, az, bright, spread, pupil, np.inf):
+            entered = np.inf
+            for s in range(bright.shape[1]):
+                entered = min(entered, _entered(
+                    bright[0, s] - ox, bright[1, s] - oy, bright[2, s] - oz, bright[3, s], ax, ay, az, spread, pupil
+                ))  # fmt: skip
+            if entered < np.inf:
                 kinds[i] = BUNDLE
                 continue
             if met == 0:
@@ -206,23 +214,29 @@ def narrow(
             up = nx * frame[2, 0, i] + ny * frame[2, 1, i] + nz * frame[2, 2, i]
             one_u, one_v = turn * left + tilt * up, turn * up - tilt * left
             facing_0 = nx * ax + ny * ay + nz * az
-            above, above_u, above_v = facing_0 * range_m[base], exit_m * one_u, exit_m * one_v
+            above, above_u, above_v = facing_0 * own_ranges[one, 0], exit_m * one_u, exit_m * one_v
             turns_u, turns_v = wide_x * one_u, wide_y * one_v
-            bias, off = _off(
-                range_m, base, places, share, above, above_u, above_v, facing_0, turns_u, turns_v
-            )  # fmt: skip
-            if not off <= step:  # the smooth surface through the probes
-                above, above_u, above_v, facing_0, turns_u, turns_v = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            bias, off = 0.0, np.inf  # mean and largest distance of the probes behind it, along them
+            for smooth in range(2):
+                if smooth:  # the smooth surface through the probes
+                    above, above_u, above_v, facing_0, turns_u, turns_v = 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    for p in range(k):
+                        inverse = places[0, p] / own_ranges[one, p]
+                        facing_0 += inverse / k
+                        turns_u += inverse * places[1, p] / square
+                        turns_v += inverse * places[2, p] / square
+                bias = off = 0.0
                 for p in range(k):
-                    inverse = places[0, p] / range_m[base + p]
-                    facing_0 += inverse / k
-                    turns_u += inverse * places[1, p] / square
-                    turns_v += inverse * places[2, p] / square
-                bias, off = _off(
-                    range_m, base, places, share, above, above_u, above_v, facing_0, turns_u, turns_v
-                )  # fmt: skip
-                if not off <= step:
-                    continue
+                    top = above - above_u * places[1, p] - above_v * places[2, p]
+                    away = own_ranges[one, p] - places[0, p] * (
+                        top / (facing_0 + turns_u * places[1, p] + turns_v * places[2, p])
+                    )
+                    off = away if away > off else -away if -away > off else off if away == away else np.inf
+                    bias += share[p] * away
+                if off <= step:
+                    break
+            if not off <= step:
+                continue
             if treated[kind] != CLOSED:
                 kinds[i] = PANE if treated[kind] == PANE else LEFT
                 continue
@@ -233,14 +247,20 @@ def narrow(
             to_u, to_v = (slope_u / slope, slope_v / slope) if slope > 0.0 else (1.0, 0.0)
             cosine = bends = 0.0
             for p in range(k):
-                c = abs(facing[base + p])
+                c = abs(own_turns[one, p])
                 cosine += c / k
                 bends += c * (places[1, p] * to_u + places[2, p] * to_v) / square
             leans, turns = above_u * to_u + above_v * to_v, turns_u * to_u + turns_v * to_v
             near = length * (above - leans) / (facing_0 + turns)
-            size = weight[i] * k_m2 * reflected(factors, kind, cosine) / (near * near + area)
+            back = reflected(
+                factors[0, kind], factors[1, kind], factors[2, kind], factors[3, kind], factors[4, kind],
+                factors[5, kind], cosine,
+            )  # fmt: skip
+            size = weight[i] * k_m2 * back / (near * near + area)
             lead = max(length * above / facing_0 - near, 0.0)
-            count_of[i] = strips_wanted(lead, size, fwhm, level, foot, allowed, ripple, numbers, feet, shift)
+            count_of[i] = 1
+            if not one_does(lead, size, fwhm, level, allowed):  # tables are handed over for few
+                count_of[i] = strips_wanted(lead, size, fwhm, level, foot, allowed, ripple, numbers, feet, shift)
             if count_of[i] == 0:
                 continue
             kinds[i] = CLOSED

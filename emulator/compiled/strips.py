@@ -14,24 +14,28 @@ from emulator.compiled.jit import FLOAT, FLOATS, INTS, ROWS, TURNS, WORDS, compi
 
 
 @compiled()
-def reflected(factors, kind, cosine):
-    """See `SurfaceTable.back`."""
+def reflected(lambert, sheen, even, gloss, fresnel, roughness, cosine):
+    """See `SurfaceTable.back`: numbers of one material. The references of an array would be counted for every ray."""
     c = min(abs(cosine), 1.0)
-    back = factors[0, kind] * c + factors[1, kind] * (1.0 - c * c) + factors[2, kind]
-    if factors[3, kind] > 0.0:  # see `brdf.ggx_cos`
-        rough = factors[5, kind] * factors[5, kind]
+    back = lambert * c + sheen * (1.0 - c * c) + even
+    if gloss > 0.0:  # see `brdf.ggx_cos`
+        rough = roughness * roughness
         lobe = (1.0 - c * c) + rough * c * c
-        back += factors[3, kind] * (
-            factors[4, kind] * rough / (4.0 * lobe * lobe * np.sqrt(c * c + rough * (1.0 - c * c)))
-        )
+        back += gloss * (fresnel * rough / (4.0 * lobe * lobe * np.sqrt(c * c + rough * (1.0 - c * c))))
     return back
+
+
+@compiled()
+def one_does(lead, size, fwhm, level, allowed):
+    """Whether a single strip is enough: see `strips.counts`."""
+    share = min(max(level / max(size, 1e-300), 1e-12), 0.9)
+    return np.pi / (16.0 * fwhm) * lead * lead / np.sqrt(share * (1.0 - share)) <= allowed
 
 
 @compiled()
 def strips_wanted(lead, size, fwhm, level, foot, allowed, wide, numbers, feet, shift):
     """See `strips.counts`, of one beam."""
-    share = min(max(level / max(size, 1e-300), 1e-12), 0.9)
-    if np.pi / (16.0 * fwhm) * lead * lead / np.sqrt(share * (1.0 - share)) <= allowed:
+    if one_does(lead, size, fwhm, level, allowed):
         return np.int64(1)
     high, row, last = foot / max(lead * lead * size, 1e-300), 0, len(numbers) - 1
     while row < len(feet) - 1 and high < feet[row]:
@@ -88,10 +92,13 @@ def strips(
         own, kind = nodes[count[i]], np.int64(material[i])
         above, leans, facing, turns = rows[0, i], rows[1, i], rows[2, i], rows[3, i]
         beside, cosine, bends = rows[4, i], rows[5, i], rows[6, i]
+        lambert, sheen, even = factors[0, kind], factors[1, kind], factors[2, kind]
+        gloss, fresnel, roughness = factors[3, kind], factors[4, kind], factors[5, kind]
         for strip in range(count[i]):
             place, share = own[0, strip], own[1, strip]
             r = (above - leans * place) / (facing + turns * place) + beside
-            height = weight[i] * k_m2 * share * reflected(factors, kind, cosine + bends * place) / (r * r + area)
+            back = reflected(lambert, sheen, even, gloss, fresnel, roughness, cosine + bends * place)
+            height = weight[i] * k_m2 * share * back / (r * r + area)
             if extinction > 0.0:
                 height *= faded(2.0 * extinction * r)
             if r < start:

@@ -26,6 +26,8 @@ PLAIN, GLASS, MIRROR, REFUSED = 0, 1, 2, 3
 "Materials, by what happens to a ray on them; on the last it is left."
 PLACE_BITS, RANGE_BITS = 12, 34
 "Of numbers that sort as range and place in the beam: ranges are distinguished to 2^-34 of the reach."
+MOST_COUNTED = 256
+"Sub-echoes of a beam up to which to count those that come before each, eight at a time, is faster than to sort."
 X, Y, Z, AHEAD, LEFTWARD, UP, WEIGHT, LENGTH, DEPTH, AIR, TIME = range(11)
 "Columns of a ray under way: origin about the structure's, direction, those of `paths._Front`, its instant."
 
@@ -201,7 +203,7 @@ def traced(
         spheres[i] -= centre[i]
     packet, flags, lanes = room(width)
     group = max(1, TOGETHER // m)
-    most = group * m * 2**bounces
+    most = (group * m * 2**bounces + 2 * width - 1) // (2 * width) * 2 * width  # halves of whole packets
     theirs, their_at = around.copy(), there.copy()
     for i in range(3):
         theirs[i] -= centre[i]
@@ -213,11 +215,14 @@ def traced(
     no_bend, no_place, no_turn = np.zeros(0, np.int64), np.zeros((3, 0)), np.zeros((3, 3, 0))
     tags, later_tags = np.empty((3, most), np.int64), np.empty((3, most), np.int64)  # beam, way, body it is inside of
     range_m, facing, triangle = np.empty(most), np.empty(most), np.empty(most, np.int64)
+    ranges, turns = range_m.reshape(most // width, width), facing.reshape(most // width, width)
+    faces, bodies = triangle.reshape(most // width, width), body.reshape(most // width, width)
     seen, kind_of = np.empty((2, most)), np.empty((2, most), np.int64)
     own = np.empty((3, 2 * most))  # sub-echoes of a group
     own_tag = np.empty((2, 2 * most), np.int64)
     whole, sizes = np.empty((2, 2 * n * m), np.int64), np.empty((3, 2 * n * m))
     key, place_of, scale = np.empty(2 * most, np.int64), np.empty(2 * most, np.int64), (2.0**RANGE_BITS - 1.0) / reach
+    ranked = np.empty(2 * most, np.int64)
     starts, filled = np.zeros(group + 1, np.int64), np.zeros(group, np.int64)
     made = cast = wrong = 0
     for begin in range(0, n, group):
@@ -233,51 +238,58 @@ def traced(
                 aim[3, p], aim[4, p] = exit_m * (turn * u - tilt * v), exit_m * (tilt * u + turn * v)
             for axis in range(3):
                 forward, left, up = frame[0, axis, i], frame[1, axis, i], frame[2, axis, i]
-                here, to, by = place[axis, i] - centre[axis], rays[X + axis], rays[AHEAD + axis]
+                here, mine = place[axis, i] - centre[axis], slice(base, base + m)
+                starts_of, ways_of = rays[X + axis, mine], rays[AHEAD + axis, mine]
                 for p in range(m):
-                    to[base + p] = here + left * aim[3, p] + up * aim[4, p]
+                    starts_of[p] = here + left * aim[3, p] + up * aim[4, p]
                 for p in range(m):
-                    by[base + p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
+                    ways_of[p] = forward * aim[0, p] + left * aim[1, p] + up * aim[2, p]
             for p in range(m):
                 rays[WEIGHT, base + p], rays[LENGTH, base + p], rays[DEPTH, base + p] = weight[i] * share[p], 0.0, 0.0
                 rays[AIR, base + p], rays[TIME, base + p] = share[p], t_s[i]
                 tags[0, base + p], tags[1, base + p], tags[2, base + p] = one, 0, -1
         under_way, echoes = count * m, 0
         for bounce in range(bounces + 1):
-            for first in range(0, under_way, width):
-                used = min(width, under_way - first)
+            # by packets: an index that is a sum is looked at for being negative, ray by ray
+            of_packets = rays.reshape(11, most // width, width)
+            for block in range((under_way + width - 1) // width):
+                used = min(width, under_way - block * width)
                 for axis in range(3):
-                    to, by, here, forth = packet[axis], packet[DIRECTION + axis], rays[X + axis], rays[AHEAD + axis]
                     for lane in range(used):
-                        to[lane] = here[first + lane]
+                        packet[axis, lane] = of_packets[X + axis, block, lane]
                     for lane in range(used):
-                        by[lane] = forth[first + lane]
+                        packet[DIRECTION + axis, lane] = of_packets[AHEAD + axis, block, lane]
                 for lane in range(used):
-                    longest = far if bounce == 0 else reach - rays[LENGTH, first + lane]
+                    longest = far if bounce == 0 else reach - of_packets[LENGTH, block, lane]
                     packet[TFAR, lane] = min(longest * LONGER, LONGEST)
+                for lane in range(used):
                     flags[TRIANGLE, lane] = -1
+                for lane in range(used):
                     flags[GEOMETRY, lane] = -1
+                for lane in range(used):
                     total = packet[0, lane] + packet[1, lane] + packet[2, lane]
                     total += packet[DIRECTION, lane] + packet[DIRECTION + 1, lane] + packet[DIRECTION + 2, lane]
                     lanes[lane] = -1 if total - total == np.float32(0.0) else 0
                 send(function, scene, arguments, packet, lanes, used)
                 for lane in range(used):
-                    ray, face = first + lane, np.int64(flags[TRIANGLE, lane])
-                    range_m[ray], facing[ray], triangle[ray] = np.inf, 0.0, -1
+                    face = np.int64(flags[TRIANGLE, lane])
+                    ranges[block, lane], turns[block, lane], faces[block, lane] = np.inf, 0.0, -1
                     if face < 0 or lanes[lane] == 0:
                         continue
                     face += offset
                     nx, ny, nz = plane[face, 0], plane[face, 1], plane[face, 2]
-                    turned = nx * rays[AHEAD, ray] + ny * rays[LEFTWARD, ray] + nz * rays[UP, ray]
-                    above = nx * rays[X, ray] + ny * rays[Y, ray] + nz * rays[Z, ray]
+                    x, y, z = of_packets[X, block, lane], of_packets[Y, block, lane], of_packets[Z, block, lane]
+                    dx, dy = of_packets[AHEAD, block, lane], of_packets[LEFTWARD, block, lane]
+                    dz = of_packets[UP, block, lane]
+                    turned, above = nx * dx + ny * dy + nz * dz, nx * x + ny * y + nz * z
                     refined, distance = (plane[face, 3] - above) / turned, packet[TFAR, lane]
                     if not abs(refined - distance) <= suspicious * (1.0 + distance):
                         refined = np.float64(distance)
                         wrong += 1
                     if bounce == 0 and refined > far:
                         continue
-                    range_m[ray], facing[ray], triangle[ray] = max(refined, 0.0), turned, face
-                    body[ray] = body_of[face]
+                    ranges[block, lane], turns[block, lane], faces[block, lane] = max(refined, 0.0), turned, face
+                    bodies[block, lane] = body_of[face]
             limit = far if bounce == 0 else reach
             for mover in range(theirs.shape[1]):
                 pairs = _meeting(theirs[:, mover], rays, range_m, under_way, squares, touched)
@@ -377,7 +389,11 @@ def traced(
                         later_tags[0, to], later_tags[1, to] = one, 2 * tags[1, ray] + passed
                         later_tags[2, to] = -1 if inner == (passed == 1) else met
                 lost = 1.0 - 2.0 * depth * (1.0 - depth) if 2.0 * depth < clear_depth else faded(2.0 * depth)
-                height = rays[WEIGHT, ray] * k_m2 * lost * reflected(factors, kind, cosine) / (length * length + area)
+                back = reflected(
+                    factors[0, kind], factors[1, kind], factors[2, kind], factors[3, kind], factors[4, kind],
+                    factors[5, kind], cosine,
+                )  # fmt: skip
+                height = rays[WEIGHT, ray] * k_m2 * lost * back / (length * length + area)
                 if length < start:
                     height = 0.0
                 elif length < full:
@@ -394,7 +410,12 @@ def traced(
                     while end < under_way and tags[0, end] == tags[0, ray]:
                         end += 1
                     if bounce == 0:  # the panes themselves
-                        back = reflected(factors, np.int64(what[of]), abs(facing[ray])) if what[of] >= 0 else 0.0
+                        back, kind = 0.0, np.int64(what[of])
+                        if kind >= 0:
+                            back = reflected(
+                                factors[0, kind], factors[1, kind], factors[2, kind], factors[3, kind],
+                                factors[4, kind], factors[5, kind], abs(facing[ray]),
+                            )  # fmt: skip
                         light = weight[at[of]] * k_m2 / (nearest[of] * nearest[of] + area) * back
                         if verdict[of] == DONE and not _even(
                             seen[0, ray:end], light, places, judge, numbers, feet, shift, most_strips
@@ -433,9 +454,19 @@ def traced(
                 filled[one] += 1
         for one in range(count):
             first, last = starts[one], starts[one + 1]
-            key[first:last].sort()
+            if last - first > MOST_COUNTED:
+                key[first:last].sort()
+                for to in range(first, last):
+                    ranked[to] = place_of[first + (key[to] & ((1 << PLACE_BITS) - 1))]
+            else:
+                keys = key[first:last]
+                for place_ in range(last - first):
+                    this, earlier = keys[place_], 0
+                    for other in range(last - first):
+                        earlier += keys[other] < this
+                    ranked[first + earlier] = place_of[first + place_]
             for to in range(first, last):
-                k = place_of[first + (key[to] & ((1 << PLACE_BITS) - 1))]
+                k = ranked[to]
                 whole[0, made + to], whole[1, made + to] = at[begin + one], own_tag[1, k]
                 sizes[0, made + to], sizes[1, made + to], sizes[2, made + to] = own[0, k], own[1, k], own[2, k]
         made += starts[count]

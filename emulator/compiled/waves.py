@@ -10,7 +10,7 @@ import numpy as np
 
 from emulator.compiled.arithmetic import cos_sin
 from emulator.compiled.jit import FLAG, FLAGS, FLOAT, FLOATS, INTS, compiled
-from emulator.compiled.media import MEDIUM, bounds, integral
+from emulator.compiled.media import MEDIUM, bounds, cell_of, cubic
 
 
 @compiled(*MEDIUM, FLAG, FLOAT, FLOAT, FLOAT, FLOAT, FLAGS, FLOATS, INTS, INTS, INTS, FLOATS, FLOATS, FLOATS, INTS)
@@ -74,8 +74,9 @@ def sampled(
             if hazy:
                 share = blocked[k] if range_m[k] < end_m + 2.0 * half_m else 0.0
                 stop[k + 1] = (stop[k] if before else 0.0) + share
+                knot, behind = cell_of(range_m[k], knots, cells, cell)
                 for i in range(3):
-                    more = share * integral(i, range_m[k], knots, cubics, cells, cell) if share > 0.0 else 0.0
+                    more = share * cubic(i, knot, behind, cubics) if share > 0.0 else 0.0
                     ended[i, k + 1] = (ended[i, k] if before else 0.0) + more
         begun = over = head
         for j in range(count[w]):

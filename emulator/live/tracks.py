@@ -16,6 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from emulator.live.natures import Columns, Nature, Natures, natures_of
 from emulator.live.rotations import (
     Floats,
     Vector,
@@ -28,20 +29,8 @@ from emulator.live.rotations import (
 )
 
 Between = Literal["interpolate", "extrapolate", "hold"]
-STRAIGHT_M = 1e-9
-"A track that is nowhere farther from a straight line, evenly passed, is one."
 BLEND_S = 0.2
 "Over so long an actor comes back to its track when its feed returns."
-
-
-@dataclass(frozen=True, eq=False)
-class Nature:
-    """What kind of motion a track is."""
-
-    comes_back: bool
-    turns: bool
-    rests: bool
-    straight_m_s: Floats | None
 
 
 @dataclass(eq=False)
@@ -95,7 +84,7 @@ class Track:
     @cached_property
     def nature(self) -> Nature:
         """What kind of motion it is; of many tracks `look_at` finds that at once."""
-        return _natures([self])[0]
+        return natures_of_tracks([self]).each()[0]
 
     @property
     def comes_back(self) -> bool:
@@ -181,16 +170,17 @@ class Track:
         return fastest
 
 
-Columns = tuple[NDArray[Any], ...]
 COLUMNS = ("t_s", "at_m", "quaternion", "velocity_m_s", "spin_rad_s", "jump", "returns")
 
 
 def look_at(tracks: Sequence[Track], columns: Columns | None = None) -> None:
     """Find out at once what kind of motion each of them is; `columns`: those of `columns_of`, where they are known."""
-    fresh = [track for track in tracks if "nature" not in vars(track)]
-    if not fresh:
-        return
-    for track, nature in zip(fresh, _natures(fresh, columns if len(fresh) == len(tracks) else None), strict=True):
+    if fresh := [track for track in tracks if "nature" not in vars(track)]:
+        _note(fresh, natures_of_tracks(fresh, columns if len(fresh) == len(tracks) else None))
+
+
+def _note(tracks: Sequence[Track], natures: Natures) -> None:
+    for track, nature in zip(tracks, natures.each(), strict=True):
         vars(track)["nature"] = nature  # where cached_property keeps it
 
 
@@ -199,44 +189,12 @@ def columns_of(tracks: Sequence[Track]) -> Columns:
     return tuple(np.concatenate([getattr(track, name) for track in tracks]) for name in COLUMNS)
 
 
-def _natures(tracks: Sequence[Track], columns: Columns | None = None) -> list[Nature]:
-    t_s, at, quaternion, velocity, spin, jump, returns = columns_of(tracks) if columns is None else columns
-    sizes = np.array([len(track.t_s) for track in tracks])
-    ends = np.cumsum(sizes)
-    firsts = ends - sizes
-    first = np.arange(len(sizes)).repeat(sizes)
-    began = firsts[first]
-
-    # one table of what may be so of any sample, by columns: to ask for each of them takes longer
-    unknown, from_at = np.isnan(velocity), at[began]
-    facts = np.concatenate(
-        [
-            returns[:, None], np.abs(spin) > 0.0, quaternion != quaternion[began], np.abs(velocity) > 0.0,
-            at != from_at, unknown, ~unknown,
-        ],
-        axis=1,
-    )  # fmt: skip
-    # of a comparison NaN is not
-    back, turns, moves, some, known = np.logical_or.reduceat(
-        np.logical_or.reduceat(facts, firsts, axis=0), (0, 1, 8, 14, 17), axis=1
-    ).T
-    rests, all_ = ~turns & ~moves, ~known
-    since, span = t_s - t_s[began], (t_s[ends - 1] - t_s[firsts])[:, None]
-    mean = (at[ends - 1] - at[firsts]) / np.where(span > 0.0, span, 1.0)
-    even = np.where(some[:, None], mean, velocity[firsts])
-    steady = even[first]
-    off = np.abs(at - (from_at + since[:, None] * steady))
-    other = np.abs(velocity - steady) * span[first]
-    wrong = ((off > STRAIGHT_M) | (other > STRAIGHT_M)).any(axis=1)
-    wrong |= jump & (np.arange(len(t_s)) != began)
-    straight = ~np.logical_or.reduceat(wrong, firsts) & (~some | all_ & (sizes > 1)) & ~turns
-    still = np.zeros(3)
-    return [
-        Nature(b, t, r, still if r and not b else v if s and not b and one.between == "interpolate" else None)
-        for one, v, b, t, r, s in zip(
-            tracks, even, back.tolist(), turns.tolist(), rests.tolist(), straight.tolist(), strict=True
-        )
-    ]
+def natures_of_tracks(tracks: Sequence[Track], columns: Columns | None = None) -> Natures:
+    """What kind of motion each is; `columns` as in `look_at`."""
+    interpolated = np.array([track.between == "interpolate" for track in tracks])
+    return natures_of(
+        columns_of(tracks) if columns is None else columns, [len(track.t_s) for track in tracks], interpolated
+    )
 
 
 def together(tracks: Sequence[Track], t_s: Floats) -> tuple[Floats, Floats]:
@@ -334,6 +292,42 @@ class World:
         return columns_of([track for _, track in self.tracks])
 
     @cached_property
+    def rest(self) -> tuple[tuple[Any, ...], ...]:
+        """Of all tracks: their names, how many samples each has, their other fields in the order of `Track`."""
+        return tuple(zip(*self._packed[1], strict=True)) or ((),) * (2 + len(_REST))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Whose track each is."""
+        return self.rest[0]
+
+    @cached_property
+    def described(self) -> tuple[Described, ...]:
+        """What each reports of its actor."""
+        return tuple(zip(*self.rest[2 + _REST.index("reference") :], strict=True))
+
+    @cached_property
+    def natures(self) -> Natures:
+        """What kind of motion each of at least one track is."""
+        interpolated = np.array([one == "interpolate" for one in self.rest[2 + _REST.index("between")]])
+        return natures_of(self.columns, self.rest[1], interpolated)
+
+    @cached_property
+    def straight_s(self) -> tuple[Floats, Floats]:
+        """(m,) from when, and until when, each of at least one track is straight, where it is."""
+        begins, gone_s, _, hold_s, vanish_s, *_ = self.rest[2:]
+        known = self.natures
+        lasts_s = np.minimum(gone_s, known.last_s + vanish_s)
+        beyond = known.last_s + np.where(known.known_last, hold_s, 0.0)
+        begin_s = np.where(known.rests & ~np.array(begins), -np.inf, known.first_s)
+        return begin_s, np.where(known.rests, lasts_s, np.minimum(beyond, lasts_s))
+
+    def look(self) -> None:
+        """Find out at once what kind of motion each track is."""
+        if self.tracks and "nature" not in vars(self.tracks[0][1]):
+            _note([track for _, track in self.tracks], self.natures)
+
+    @cached_property
     def _packed(self) -> Packed:
         """As it goes to other processes: all samples in one array, made once for all of them."""
         samples = np.zeros((sum(len(track.t_s) for _, track in self.tracks), WIDTH))
@@ -351,6 +345,8 @@ Packed = tuple[Floats, list[tuple[Any, ...]], frozenset[str]]
 PLACES: tuple[int | slice, ...] = (0, slice(1, 4), slice(4, 8), slice(8, 11), slice(11, 14), 14, 15)
 "Of `COLUMNS` in a sample."
 WIDTH = 16
+Described = tuple[str, "Vector | None", "Vector | None", str, str]
+"Of an actor: which point of it is reported, `rear_m`, `size_m`, its shape, its class."
 _REST = tuple(one.name for one in fields(Track) if one.name not in COLUMNS)
 
 

@@ -49,7 +49,7 @@ MOST_ROUNDS = 16
 Flat: TypeAlias = tuple[Floats, int, float, float, Floats, Floats, Floats, Ints, float]
 "A medium for compiled loops: tables with an edge, first bin, bin, wave number, ends, knots, cubics, cells, cell."
 NO_MEDIUM: Flat = (
-    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((12, 1)), np.zeros(1, np.int64), 1.0
+    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((1, 12)), np.zeros(1, np.int64), 1.0
 )  # fmt: skip
 
 
@@ -277,7 +277,7 @@ class SoftProfile:
         ends = np.array([self.a[-1], self.b[-1].real, self.b[-1].imag])
         return (
             self._edged, self.first, self.bin_m, self.pulse.wave_number, ends, self.knots,
-            np.ascontiguousarray(self._cubics), at_edge, cell,
+            np.ascontiguousarray(self._cubics.T), at_edge, cell,
         )  # fmt: skip
 
     @cached_property

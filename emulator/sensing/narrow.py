@@ -34,6 +34,8 @@ class Beams:
     own_axis: Floats
     "(n, 3) in the sensor's frame."
     t_s: Floats
+    order: Ints
+    "(n,) in which they are cast: neighbours share a search."
     aim: Floats
     "(5, k) shares of the frame in a probe's direction, metres left and up of its origin."
     places: Floats
@@ -43,8 +45,9 @@ class Beams:
     def taken(self, at: Ints) -> Beams:
         """Some of them."""
         return Beams(
-            self.place[:, at], self.frame[:, :, at], self.own_axis[at], self.t_s[at], self.aim, self.places, self.share
-        )
+            self.place[:, at], self.frame[:, :, at], self.own_axis[at], self.t_s[at],
+            np.arange(len(at)), self.aim, self.places, self.share,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +78,8 @@ def _settled_by_loops(
     around = caster.around(beams.place.T, beams.t_s, far)
     if around is None:
         return OTHERWISE
-    order = np.argsort(np.round(beams.own_axis[:, 2], 6), kind="stable")  # neighbours share a search
     kinds, made, rows, count, what, normal, cast, crossed, wrong = loops.narrow(
-        *around.how, beams.place, beams.frame, order, beams.aim, beams.places, beams.share, around.centre, far,
+        *around.how, beams.place, beams.frame, beams.order, beams.aim, beams.places, beams.share, around.centre, far,
         reach_m, around.suspicious, around.plane, around.body, around.offset, around.closed, around.actor_of,
         around.material, treated, factors, weight, around.others, bright, law, NUMBERS, FEET, strips.SHIFT,
         beams.t_s, around.crossing.spheres, *around.crossing.how, *around.crossing.columns, *around.parts,

@@ -54,6 +54,7 @@ NOTHING, CLOSED, PROBED, BUNDLE, PANE = 0, 1, 2, 3, 5
 probes if what these see through a pane or in it is smooth too."""
 FEWEST_PANES = 40
 "Beams of a sweep: to look through fewer panes with probes first costs more than it saves."
+UNTURNED = np.eye(3)
 MOST_BRIGHT = 64
 "Pieces of bright faces around each of which a sphere is looked at."
 
@@ -165,8 +166,8 @@ class Probing:
         self._bright_at_rest = np.concatenate([np.zeros((4, 0)), *resting], axis=1)
         self._bright_moving = [one for one in every if not one[0].still]
         self._law = self._numbers()
-        self._tilts = np.zeros(0), np.ones(0), np.zeros(0)
-        "Elevations of the latest sweep, their cosines and sines."
+        self._tilts = np.zeros(0), np.ones(0), np.zeros(0), np.zeros(0, np.int64)
+        "Elevations of the latest sweep, their cosines and sines, and the order of its beams by them."
 
     @property
     def too_bright(self) -> bool:
@@ -315,9 +316,11 @@ class Probing:
         n = len(plan)
         ca, sa = np.cos(plan.azimuth_rad), np.sin(plan.azimuth_rad)
         if not np.array_equal(plan.elevation_rad, self._tilts[0]):  # layers are the same in every slice
-            self._tilts = plan.elevation_rad, np.cos(plan.elevation_rad), np.sin(plan.elevation_rad)
-        _, ce, se = self._tilts
-        own, frame = np.zeros((3, 3, n)), np.zeros((3, 3, n))
+            sines = np.sin(plan.elevation_rad)
+            order = np.argsort(np.round(sines, 6), kind="stable")
+            self._tilts = plan.elevation_rad, np.cos(plan.elevation_rad), sines, order
+        _, ce, se, order = self._tilts
+        own = np.zeros((3, 3, n))
         np.multiply(ce, ca, out=own[0, 0])
         np.multiply(ce, sa, out=own[0, 1])
         np.negative(sa, out=own[1, 0])
@@ -326,14 +329,18 @@ class Probing:
         own[0, 2], own[1, 1], own[2, 2] = se, ca, ce
         place, rotation = np.ascontiguousarray(pose.position_m.T), pose.rotation
         one = n > 0 and (rotation.strides[0] == 0 or bool((rotation == rotation[0]).all()))
-        for row in range(3):
-            for column in range(3):
-                weight = rotation[0, row, column] if one else rotation[:, row, column]
-                if one and weight == 1.0:
-                    frame[:, row] += own[:, column]
-                elif np.any(weight):
-                    frame[:, row] += weight * own[:, column]
-        return Beams(place, frame, own[0].T, t_s, self._aim, self._places, self.nodes.share)
+        if one and bool((rotation[0] == UNTURNED).all()):
+            frame = own + 0.0
+        else:
+            frame = np.zeros((3, 3, n))
+            for row in range(3):
+                for column in range(3):
+                    weight = rotation[0, row, column] if one else rotation[:, row, column]
+                    if one and weight == 1.0:
+                        frame[:, row] += own[:, column]
+                    elif np.any(weight):
+                        frame[:, row] += weight * own[:, column]
+        return Beams(place, frame, own[0].T, t_s, order, self._aim, self._places, self.nodes.share)
 
 
 def _probes(beams_: Beams) -> Rays:

@@ -39,7 +39,7 @@ NO_FLAGS = np.zeros(0, np.bool_)
 NO_TABLE = np.zeros(1)
 CLOSER = np.array(candidates.CLOSER)
 NO_MEDIUM = (
-    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((12, 1)), np.zeros(1, np.int64), 1.0,
+    np.zeros((2, 1)), 0, 1.0, 1.0, np.zeros(3), np.zeros(2), np.zeros((1, 12)), np.zeros(1, np.int64), 1.0,
 )  # fmt: skip
 KEEPS = {"first": 0, "all": 0, "strongest": 1, "last": 2}
 "See `compiled.receiving`."

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from emulator.compiled.pair import OTHERWISE, by_loops
 from emulator.physics.arrays import clamped, indexes
 from emulator.world.fed import Fed
+from emulator.world.fed_straight import Straights, StraightsNow
 from emulator.world.motion import Floats, Motion, Steady, Waypoints, matrix_of, whole_turns
 
 Longs = NDArray[np.int64]
@@ -121,44 +122,36 @@ class _FedNow:
     """Those of the motions that are fed and move straight in the present sweep."""
 
     def __init__(self, motions: Sequence[Motion], fed: Sequence[int]) -> None:
-        self._motions = [(number, motion) for number in fed if isinstance(motion := motions[number], Fed)]
-        self._world: object = None
+        self._numbers = np.array(fed, np.int64)
+        self._straights = StraightsNow([motion for number in fed if isinstance(motion := motions[number], Fed)])
+        self._known: Straights | None = None
         self._last: tuple[Stretch | None, float, float, Stretch | None] = (None, np.inf, -np.inf, None)
         "What was shown last, and of what and from when to when that holds."
 
     def shown(self, base: Stretch, begin_s: float, end_s: float) -> Stretch:
         """All motions, these as they are now."""
-        world = self._motions[0][1].now.world
-        if world is not self._world:
-            self._look(world)
-        if not len(self._rows):
+        found = self._straights.found
+        if found is not self._known:
+            self._known, self._last = found, (None, np.inf, -np.inf, None)
+        if not len(found.rows):
             return base
         known, valid_from, valid_until, made = self._last
         if made is not None and known is base and valid_from <= begin_s and end_s < valid_until:
             return made
-        holds = (self._from <= begin_s) & (end_s < self._until)
-        rows, mine = self._rows[holds], indexes(holds)
+        holds = (found.from_s <= begin_s) & (end_s < found.until_s)
+        rows, mine = self._numbers[found.rows[holds]], indexes(holds)
         at, velocity, since = base.at.copy(), base.velocity.copy(), base.since.copy()
         turned, straight, linear = base.turned.copy(), base.straight.copy(), base.linear.copy()
-        at[:, rows], velocity[:, rows], since[rows] = self._at[:, mine], self._velocity[:, mine], self._since[mine]
-        turned[:, :, rows], straight[rows], linear[rows] = self._turned[:, :, mine], True, True
+        at[:, rows], velocity[:, rows], since[rows] = (
+            found.at_m[mine].T,
+            found.velocity_m_s[mine].T,
+            found.since_s[mine],
+        )
+        turned[:, :, rows], straight[rows], linear[rows] = found.rotation[mine].transpose(1, 2, 0), True, True
         made = Stretch(at, velocity, since, turned, straight, linear)
         if bool(holds.all()):
-            self._last = (base, float(self._from.max()), float(self._until.min()), made)
+            self._last = (base, float(found.from_s.max()), float(found.until_s.min()), made)
         return made
-
-    def _look(self, world: object) -> None:
-        found = [(number, one) for number, motion in self._motions if (one := motion.straight) is not None]
-        self._world, self._last = world, (None, np.inf, -np.inf, None)
-        self._rows = np.array([number for number, _ in found], np.int64)
-        none = np.zeros(0)
-        self._at = np.concatenate([none, *(one.at_m for _, one in found)]).reshape(-1, 3).T
-        self._velocity = np.concatenate([none, *(one.velocity_m_s for _, one in found)]).reshape(-1, 3).T
-        turned = np.concatenate([np.zeros((0, 3)), *(one.rotation for _, one in found)])
-        self._turned = turned.reshape(-1, 3, 3).transpose(1, 2, 0)
-        self._since = np.array([one.since_s for _, one in found])
-        self._from = np.array([one.from_s for _, one in found])
-        self._until = np.array([one.until_s for _, one in found])
 
 
 @dataclass(frozen=True, eq=False)

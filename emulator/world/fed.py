@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from emulator.live.tracks import NOTHING, Track, World, look_at
+from emulator.live.tracks import NOTHING, Described, Track, World
+from emulator.world.fed_straight import Straight, Straights, StraightsNow
 from emulator.world.motion import Floats, Motion, Pose, Steady, Vector, matrix_of
 from emulator.world.placings import MARGIN_M, Bounds, Longs, Placings
 
@@ -34,53 +35,84 @@ class FedNow:
     world: World = NOTHING
     categories: Mapping[str, str] = field(default_factory=dict)
     "The feeder's classes -> those of object lists."
-    _tracks: dict[str, list[Track]] = field(default_factory=dict)
     _placings: list[Placings] = field(default_factory=list)
     "The one used last first."
     _bounds: Bounds | None = None
-    _turns: dict[int, Floats] | None = None
+    _numbers: dict[str, list[int]] = field(default_factory=dict)
+    _named: tuple[str, ...] = ()
+    "What `_numbers` is of."
+    _turned: tuple[Floats, Floats] | None = None
+    "First orientations of all tracks: quaternions and matrices."
+    _straights: dict[tuple[Motion, ...], StraightsNow] = field(default_factory=dict)
+    _fresh: bool = True
+    "`_turned` is not of this world yet."
 
     def use(self, world: World) -> None:
         """From now on these."""
         if world is self.world:
             return
-        self.world, self._tracks, self._placings, self._bounds = world, {}, [], None
-        self._turns = None
-        for name, track in world.tracks:
-            self._tracks.setdefault(name, []).append(track)
+        self.world, self._placings, self._bounds, self._fresh = world, [], None, True
+        if world.names != self._named:
+            self._named, self._numbers = world.names, {}
+            for number, name in enumerate(world.names):
+                self._numbers.setdefault(name, []).append(number)
 
-    def look(self) -> None:
-        """Find out at once what kind of motions these are."""
-        if self._turns is None:
-            tracks = [track for _, track in self.world.tracks]
-            look_at(tracks, self.world.columns if tracks else None)
-            first = matrix_of(np.array([track.quaternion[0] for track in tracks]).reshape(-1, 4))
-            self._turns = {id(track): matrix for track, matrix in zip(tracks, first, strict=True)}
+    @property
+    def first_turns(self) -> Floats:
+        """(m, 3, 3) how each track of the world, which has some, is turned at its first sample."""
+        if self._turned is None or self._fresh:
+            first = self.world.natures.first_quaternion
+            # most actors are turned as they were in the sweep before
+            if self._turned is None or not np.array_equal(first, self._turned[0]):
+                self._turned = first, matrix_of(first)
+            self._fresh = False
+        return self._turned[1]
 
-    def first_turn(self, track: Track) -> Floats:
-        """(3, 3) how one of these tracks is turned at its first sample."""
-        self.look()
-        assert self._turns is not None
-        return self._turns[id(track)]
+    def straights(self, motions: Sequence[Fed]) -> Straights:
+        """Which of these, at least one, are straight in the present sweep."""
+        key = tuple(motions)
+        known = self._straights.get(key)
+        if known is None:
+            while len(self._straights) >= KEPT:
+                del self._straights[next(iter(self._straights))]
+            known = self._straights[key] = StraightsNow(motions)
+        return known.found
+
+    def straight(self, number: int, offset: Vector) -> Straight | None:
+        """How a point of one track's body moves, where that is straight: `offset` from its reference point."""
+        known = self.world.natures
+        if not known.straight[number]:
+            return None
+        begin, end = self.world.straight_s
+        rotation, at = self.first_turns[number], known.first_at_m[number]
+        at = at + rotation @ np.array(offset) if any(offset) else at
+        since, times = float(known.first_s[number]), (float(begin[number]), float(end[number]))
+        return Straight(at, known.velocity_m_s[number], since, rotation, *times)
 
     @property
     def has_spawned(self) -> bool:
         """Some actor is there that is not in the scenario."""
-        return any(track.shape for _, track in self.world.tracks)
+        return any(shape for _, _, _, shape, _ in self.world.described)
 
     @property
     def names(self) -> Iterable[str]:
         """Actors that are fed in the present sweep."""
-        return self._tracks
+        return self._numbers
+
+    def numbers(self, name: str) -> list[int]:
+        """Which of the world's tracks are lives of an actor, in their order."""
+        return self._numbers.get(name, [])
 
     def of(self, name: str) -> list[Track]:
         """Lives of an actor, in their order."""
-        return self._tracks.get(name, [])
+        self.world.look()
+        return [self.world.tracks[number][1] for number in self.numbers(name)]
 
     def category(self, name: str) -> str:
         """What an actor of a pool is, for object lists."""
-        for track in reversed(self.of(name)):
-            for word in (track.class_, track.shape):
+        for number in reversed(self.numbers(name)):
+            *_, shape, class_ = self.world.described[number]
+            for word in (class_, shape):
                 if word in self.categories:
                     return self.categories[word]
         return "unknown"
@@ -108,17 +140,18 @@ def around(motions: Sequence[Fed], times: Floats) -> tuple[Floats, Floats]:
     """Centres (3, k) and radii (k,) of spheres that hold their origins at all instants; infinite: it is not known."""
     begin, end = float(times.min()), float(times.max())
     middle, radius = np.zeros((3, len(motions))), np.full(len(motions), np.inf)
-    others = []
-    for number, motion in enumerate(motions):
-        one = motion.straight
-        if one is None or not one.holds(begin, end):
-            others.append(number)
-            continue
-        middle[:, number] = one.at_m + (0.5 * (begin + end) - one.since_s) * one.velocity_m_s
-        radius[number] = math.hypot(*one.velocity_m_s) * 0.5 * (end - begin) * (1.0 + MARGIN_M) + MARGIN_M
-    found = motions[others[0]].now.placings(times) if others else None
-    if found is not None:
-        middle[:, others], radius[others] = found[0].around([motions[number] for number in others])
+    found = motions[0].now.straights(motions) if len(motions) else None
+    if found is None:
+        return middle, radius
+    holds = (found.from_s <= begin) & (end < found.until_s)
+    rows, velocity = found.rows[holds], found.velocity_m_s[holds]
+    middle[:, rows] = (found.at_m[holds] + (0.5 * (begin + end) - found.since_s[holds])[:, None] * velocity).T
+    way = np.sqrt(np.einsum("ki,ki->k", velocity, velocity)) * 0.5 * (end - begin)
+    radius[rows] = way * (1.0 + MARGIN_M) + MARGIN_M
+    others = np.flatnonzero(np.isinf(radius)).tolist()
+    placed = motions[others[0]].now.placings(times) if others else None
+    if placed is not None:
+        middle[:, others], radius[others] = placed[0].around([motions[number] for number in others])
     return middle, radius
 
 
@@ -136,29 +169,6 @@ class Box:
         return cls(tuple((low + (high - low) / 2.0).tolist()), tuple(((high - low) / 2.0).tolist()))
 
 
-@dataclass(frozen=True, eq=False)
-class Straight:
-    """A motion without turns, straight and even: position = at + velocity (t - since)."""
-
-    at_m: Floats
-    "(3,)"
-    velocity_m_s: Floats
-    "(3,)"
-    since_s: float
-    rotation: Floats
-    "(3, 3)"
-    from_s: float
-    until_s: float
-
-    def holds(self, begin_s: float, end_s: float) -> bool:
-        """All the time."""
-        return self.from_s <= begin_s and end_s < self.until_s
-
-    def position(self, t_s: Floats) -> Floats:
-        """(n, 3)"""
-        return np.asarray(self.at_m + (t_s - self.since_s)[:, None] * self.velocity_m_s)
-
-
 class Fed(Motion):
     """Of one actor, or of one of the shapes that an actor of a pool may have."""
 
@@ -172,8 +182,8 @@ class Fed(Motion):
         """
         self.now, self.name, self._own, self._box = now, name, own, box
         self._shape, self._mount = shape, mount
-        self._known: tuple[World, list[Track]] | None = None
-        "Of the present sweep."
+        self._known: tuple[World, list[int]] | None = None
+        "Which tracks of the present sweep are its own."
         self._straight: tuple[World | None, Straight | None] = (None, None)
         self._offsets: tuple[object, Vector] = (None, (0.0, 0.0, 0.0))
         "The latest, and what it was made from."
@@ -193,15 +203,14 @@ class Fed(Motion):
     @property
     def there(self) -> bool:
         """It may be met in the present sweep."""
-        tracks = self._mine()
-        return bool(tracks) or (self._own is not None and self.name not in self.now.world.gone)
+        return bool(self.numbers) or (self._own is not None and self.name not in self.now.world.gone)
 
     @property
     def scale(self) -> Vector:
         """Of its shape along its axes, in the present sweep."""
-        tracks = self._mine()
-        size = tracks[-1].size_m if tracks else None
-        if not self._shape or size is None or self._box is None:
+        mine = self.numbers if self._shape and self._box is not None else []
+        size = self.now.world.described[mine[-1]][2] if mine else None
+        if size is None or self._box is None:
             return (1.0, 1.0, 1.0)
         # a shape that has no height is not made higher
         return tuple(
@@ -216,13 +225,13 @@ class Fed(Motion):
     @property
     def offset(self) -> Vector:
         """From the feeder's reference point to the origin, in the body's axes, where one track is all it has."""
-        return self._offset(self._mine()[0])
+        return self._offset(self.now.world.described[self.numbers[0]])
 
     @property
     def straight(self) -> Straight | None:
         """How it moves in the present sweep; None: not straight, or there is more to it."""
         if self._straight[0] is not self.now.world:
-            self._straight = self.now.world, self._straight_of(self._mine())
+            self._straight = self.now.world, self._straight_of(self.numbers)
         return self._straight[1]
 
     def straight_at(self, times: Floats) -> Straight | None:
@@ -230,25 +239,20 @@ class Fed(Motion):
         one = self.straight
         return one if one is not None and len(times) and one.holds(float(times.min()), float(times.max())) else None
 
-    def _straight_of(self, tracks: list[Track]) -> Straight | None:
-        if (
-            not tracks
-            and isinstance(self._own, Steady)
-            and not self._own.turns
-            and self.name not in self.now.world.gone
-        ):
-            zero, own = np.zeros(1), self._own
-            placed = own.position(zero)[0], own.velocity(zero)[0], 0.0, own.rotation(zero)[0]
-            return Straight(*placed, -math.inf, math.inf)
-        self.now.look()
-        velocity = tracks[0].straight_m_s if len(tracks) == 1 else None
-        if velocity is None:
+    def _straight_of(self, mine: list[int]) -> Straight | None:
+        if (one := self.own_straight) is not None:
+            return one
+        return self.now.straight(mine[0], self.offset) if len(mine) == 1 else None
+
+    @property
+    def own_straight(self) -> Straight | None:
+        """Its own motion, where nobody has fed it yet and that is straight for ever."""
+        own = self._own
+        if not isinstance(own, Steady) or own.turns or self.numbers or self.name in self.now.world.gone:
             return None
-        track, (begin, end) = tracks[0], tracks[0].straight_s
-        rotation = self.now.first_turn(track)
-        offset = self._offset(track)
-        at = track.at_m[0] + rotation @ np.array(offset) if any(offset) else track.at_m[0]
-        return Straight(at, velocity, float(track.t_s[0]), rotation, begin, end)
+        zero = np.zeros(1)
+        placed = own.position(zero)[0], own.velocity(zero)[0], 0.0, own.rotation(zero)[0]
+        return Straight(*placed, -math.inf, math.inf)
 
     def whole_track(self, times: Floats) -> Track | None:
         """The only one that it has at all of these instants, ascending; None: there is more to it."""
@@ -257,36 +261,47 @@ class Fed(Motion):
             return None
         return tracks[0] if tracks[0].is_there(float(times[0]), float(times[-1])) else None
 
-    def _mine(self) -> list[Track]:
+    @property
+    def present(self) -> FedNow:
+        """What is known of the present sweep."""
+        return self.now
+
+    @property
+    def numbers(self) -> list[int]:
+        """Which tracks of the present sweep are its own."""
         if self._known is None or self._known[0] is not self.now.world:
-            mine = self.now.of(self.name)
+            mine = self.now.numbers(self.name)
             if self._shape:
-                mine = [track for track in mine if track.shape == self._shape]
+                mine = [number for number in mine if self.now.world.described[number][3] == self._shape]
             self._known = self.now.world, mine
         return self._known[1]
 
-    def _offset(self, track: Track) -> Vector:
+    def _mine(self) -> list[Track]:
+        self.now.world.look()
+        return [self.now.world.tracks[number][1] for number in self.numbers]
+
+    def _offset(self, described: Described) -> Vector:
         """From the feeder's reference point to the origin (or the mount), in the body's axes."""
-        made_from = track.reference, track.rear_m, track.size_m, self.scale if self._shape else None
+        made_from = described, self.scale if self._shape else None
         if self._offsets[0] != made_from:
-            self._offsets = made_from, self._offset_of(track)
+            self._offsets = made_from, self._offset_of(described)
         return self._offsets[1]
 
-    def _offset_of(self, track: Track) -> Vector:
+    def _offset_of(self, described: Described) -> Vector:
+        reference, rear, size, _, _ = described
         if self._box is not None:
             scale = self.scale
             middle = tuple(a * s for a, s in zip(self._box.middle_m, scale, strict=True))
             half = tuple(a * s for a, s in zip(self._box.half_m, scale, strict=True))
         else:
-            size = track.size_m or (0.0, 0.0, 0.0)
+            size = size or (0.0, 0.0, 0.0)
             half = (size[0] / 2.0, size[1] / 2.0, size[2] / 2.0)
             middle = (0.0, 0.0, half[2])  # its origin is on the ground
-        rear = track.rear_m
-        if track.reference == "origin":
+        if reference == "origin":
             centre = middle
-        elif track.reference == "ground":
+        elif reference == "ground":
             centre = (0.0, 0.0, half[2])
-        elif track.reference == "rear_axle":
+        elif reference == "rear_axle":
             rear = rear or (-0.28 * 2.0 * half[0], 0.0, 0.3 - half[2])
             centre = (-rear[0], -rear[1], -rear[2])
         else:
@@ -330,7 +345,8 @@ class Fed(Motion):
     def _on(self, track: Track, times: Floats) -> tuple[Floats, Floats]:
         at, quaternion = track.pose(times)
         rotation = matrix_of(quaternion)
-        return at + np.einsum("nij,j->ni", rotation, np.array(self._offset(track))), rotation
+        told = track.reference, track.rear_m, track.size_m, track.shape, track.class_
+        return at + np.einsum("nij,j->ni", rotation, np.array(self._offset(told))), rotation
 
     def pose(self, t_s: Floats) -> Pose:
         return Pose(*self._at(np.atleast_1d(np.asarray(t_s, dtype=np.float64))))
