@@ -19,6 +19,7 @@ from emulator.instrument.input_budget import InputBudget
 from emulator.instrument.observer import Observer
 from emulator.instrument.observers import Observers
 from emulator.instrument.outlet import Outlet
+from emulator.instrument.slices import InSlices, Slices, SlicesFeed
 from emulator.instrument.stats import InstrumentStats
 from emulator.measuring.conditions import NORMAL, Conditions
 from emulator.measuring.measuring import NotMeasured
@@ -31,7 +32,6 @@ from protocols.timebase import inside
 
 if TYPE_CHECKING:
     from emulator.instrument.fault_hooks import FaultHooks
-    from emulator.live.tracks import World
     from protocols.session import Family
 
 LOOK_AHEAD_NS = 250_000_000
@@ -59,7 +59,7 @@ class Measuring(Protocol):
         """Scans of this sensor that have been finished since the last call."""
 
 
-class WorldFeed(Protocol):
+class WorldFeed(SlicesFeed, Protocol):
     """Whoever knows where actors are that somebody else moves."""
 
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
@@ -67,9 +67,6 @@ class WorldFeed(Protocol):
 
     def knows(self, plan: ScanPlan) -> bool:
         """Whether nothing newer will be known of what its beams need."""
-
-    def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
-        """What its beams need, as it is known now."""
 
     def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
@@ -104,6 +101,8 @@ class Instrument:
         self._asked: tuple[int, int] | None = None
         self._ahead = Ahead(sensor, measuring) if isinstance(measuring, Several) else None
         "Sweeps begun while earlier ones are under way; None: one at a time."
+        self._slices = Slices(sensor, measuring) if isinstance(measuring, InSlices) else None
+        "A sweep that is measured in slices; None: nobody does."
         self._further_ns: int | None = None
         "When the next of them may be begun."
         self.connections_seen = 0
@@ -225,6 +224,8 @@ class Instrument:
             self._due_ns = min(self._due_ns, self._ask_ns(plan))
         elif plan is not None and self._further_ns is not None:
             self._due_ns = min(self._due_ns, self._further_ns)
+        if self._slices is not None and (slice_ns := self._slices.begin_due(now_ns)) is not None:
+            self._due_ns = min(self._due_ns, slice_ns)
         return self._next_step(now_ns)
 
     def _rest_without_power(self, now_ns: int) -> int | None:
@@ -283,6 +284,8 @@ class Instrument:
         self._under_way.clear()
         if self._ahead is not None:
             self._ahead.drop()
+        if self._slices is not None:
+            self._slices.finish(now_ns)
         self._note_events()  # what it has reported already
         self.ledger.now_ns = now_ns
         self.ledger.cut(SWITCHED_OFF)
@@ -388,6 +391,8 @@ class Instrument:
             self.stats.scans_measured += not isinstance(scan, NotMeasured)
             if self.feed is not None and not isinstance(scan, NotMeasured):
                 self.feed.came(self.sensor, scan.plan, now_ns)
+            if self._slices is not None:
+                self._slices.came(scan.plan)
             moved = True
             if self._is_of_before(scan.plan):
                 continue  # on account since the cut
@@ -433,7 +438,12 @@ class Instrument:
         self.ledger.ask(plan)
         self.owed.ask(now_ns, plan)
         if self._ahead is None or not self._ahead.claim(plan, self.conditions):
-            self._measuring.request(self.sensor, plan, self._conditions_of(plan, now_ns))
+            if (
+                self.feed is None
+                or self._slices is None
+                or not self._slices.open(plan, self.conditions, self.feed, now_ns)
+            ):
+                self._measuring.request(self.sensor, plan, self._conditions_of(plan, now_ns))
         return True
 
     def _conditions_of(self, plan: ScanPlan, now_ns: int) -> Conditions:
@@ -443,7 +453,7 @@ class Instrument:
 
     def _begin_early(self, asked: ScanPlan, now_ns: int) -> int | None:
         """Begin sweeps behind the one that is under way, where processes are free."""
-        if self._ahead is None:
+        if self._ahead is None or (self._slices is not None and self._slices.are_left):
             return None
         held = partial(self._conditions_of, now_ns=now_ns)
         may_wait = self.feed is None

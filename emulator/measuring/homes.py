@@ -54,7 +54,7 @@ class Sweep:
     def as_sent(self) -> tuple[object, ...]:
         if self.divided is None:
             return self.sensor, self.plan, self.conditions
-        return self.sensor, self.plan, self.conditions, (self.part, self.divided.of)
+        return self.sensor, self.plan, self.conditions, (self.part, self.divided.of, self.divided.in_time)
 
 
 @dataclass(eq=False)

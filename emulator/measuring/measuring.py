@@ -54,14 +54,15 @@ def measured(measure: Measure, plan: ScanPlan, conditions: Conditions) -> Scan:
 
 
 def part_measured(
-    measure: Measure, plan: ScanPlan, conditions: Conditions, number: int, of: int
+    measure: Measure, plan: ScanPlan, conditions: Conditions, number: int, of: int, in_time: bool = False
 ) -> PartOfScan | Scan | None:
-    """One of several parts of a sweep; where there are none, its first is all of it and the others are nothing."""
+    """One of several parts of a sweep, or slices of it; where there are no parts, the first is all of it and the others
+    are nothing, while each slice is all of it: what holds may be another thing by then."""
     in_parts = getattr(measure, "part", None)
-    found: PartOfScan | None = None if in_parts is None else in_parts(plan, conditions, number, of)
+    found: PartOfScan | None = None if in_parts is None else in_parts(plan, conditions, number, of, in_time)
     if found is not None:
         return found
-    return None if number else measured(measure, plan, conditions)
+    return None if number and not in_time else measured(measure, plan, conditions)
 
 
 def refusals(measures: Mapping[str, Measure], sensors: Sequence[str], weather: WeatherConfig) -> dict[str, str]:

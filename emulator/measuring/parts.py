@@ -4,7 +4,9 @@ Belongs here: the beams of a part, its rows of a scan, putting them together. No
 measures it (sharing).
 
 A sweep is divided where it is wanted at once and several processes are free: of a world that somebody else moves none
-can be measured before its poses have come. Whatever the number of parts, each beam has what it has in the whole sweep.
+can be measured before its poses have come. Or into *slices* of time, beams that fire one after the other, which one
+process measures each when its beams are due. Whatever the number of parts, each beam has what it has in the whole
+sweep under the conditions of its part.
 """
 
 from __future__ import annotations
@@ -20,6 +22,8 @@ from protocols.scan import Floats, Ints, Scan, ScanPlan
 
 FEWEST_BEAMS = 64
 "Of fewer no part is worth the way there and back."
+NEAR = 16
+"A slice ends at the longest pause within this part of its length of where an even division has it."
 
 
 @lru_cache(maxsize=64)
@@ -30,29 +34,53 @@ def beams_of(count: int, number: int, of: int) -> NDArray[np.int64]:
     return at
 
 
+def slice_of(plan: ScanPlan, number: int, of: int) -> NDArray[np.int64]:
+    """Indexes of the beams of one slice of time, ascending: those before the longest pauses near an even division."""
+    order = np.argsort(plan.fire_offset_s, kind="stable")
+    ends = _ends(plan.fire_offset_s[order], of)
+    return np.sort(order[ends[number] : ends[number + 1]])
+
+
+def _ends(fire_s: Floats, of: int) -> list[int]:
+    """Where slices begin and end among ascending instants; of pauses as long as each other the most even one."""
+    count, pause_ns = len(fire_s), np.rint(1e9 * np.diff(fire_s))
+    room = count // (NEAR * of)
+    found = [0]
+    for number in range(1, of):
+        even = number * count // of
+        near = np.arange(max(1, even - room), min(count - 1, even + room) + 1)
+        found.append(even if not len(near) else int(near[np.lexsort((np.abs(near - even), -pause_ns[near - 1]))[0]]))
+    return [*found, count]
+
+
 @dataclass(frozen=True, eq=False)
 class PartOfScan:
     """The rows of a scan that belong to the beams of one part."""
 
-    number: int
-    of: int
+    at: NDArray[np.int64]
+    "Which beams these are."
     range_m: Floats
     intensity: Floats
     flags: NDArray[np.uint8]
     actor: Ints
 
 
-def part_of_scan(scan: Scan, number: int, of: int) -> PartOfScan:
-    """Those of a scan of all beams."""
-    at = beams_of(len(scan.plan), number, of)
-    return PartOfScan(number, of, scan.range_m[at], scan.intensity[at], scan.flags[at], scan.actor[at])
+def part_of_scan(scan: Scan, number: int, of: int, in_time: bool = False) -> PartOfScan:
+    """Those of a scan of all beams; `in_time`: of a slice."""
+    at = slice_of(scan.plan, number, of) if in_time else beams_of(len(scan.plan), number, of)
+    return rows_of(scan, at)
+
+
+def rows_of(scan: Scan, at: NDArray[np.int64]) -> PartOfScan:
+    """Those of some beams of a scan of all."""
+    return PartOfScan(at, scan.range_m[at], scan.intensity[at], scan.flags[at], scan.actor[at])
 
 
 def joined(plan: ScanPlan, parts: Sequence[PartOfScan]) -> Scan:
     """The scan of all parts of a sweep."""
     scan = Scan.empty(plan, parts[0].range_m.shape[1])
     for one in parts:
-        at = beams_of(len(plan), one.number, one.of)
+        at = one.at
         scan.range_m[at], scan.intensity[at], scan.flags[at], scan.actor[at] = (
             one.range_m, one.intensity, one.flags, one.actor
         )  # fmt: skip
@@ -65,6 +93,8 @@ class Divided:
 
     plan: ScanPlan
     of: int
+    in_time: bool = False
+    "These are slices of time, each under conditions of its own."
     came: dict[int, PartOfScan | Scan | None] = field(default_factory=dict)
     "By number; the first part of a sweep that cannot be divided is all of it, the others are None."
     is_over: bool = False

@@ -12,6 +12,7 @@ where the process of another is gone or stands still, whichever begins first.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 from emulator.measuring.homes import Home, Question, Sweep
 from emulator.measuring.parts import FEWEST_BEAMS, Divided
@@ -44,6 +45,8 @@ class Shared:
         "Measured ahead and not asked for yet, by sensor."
         self._whole: dict[str, int] = {}
         "Sensors whose sweeps are not measured in parts, and for how many further ones."
+        self._sliced: dict[str, Divided] = {}
+        "Sensor -> its sweep that is measured in slices."
         self.latest: dict[str, Sweep] = {}
         "The sweep measured last, whichever process did it: a new process is tried with it."
 
@@ -103,6 +106,23 @@ class Shared:
             return [work]
         divided = Divided(plan, of)
         return [Sweep(sensor, plan, work.conditions, part=number, divided=divided) for number in range(of)]
+
+    def has_slices(self, sensor: str, plan: ScanPlan, homes: Sequence[Home]) -> bool:
+        """Whether a sweep may be measured in slices of time: by a process that has nothing else to do.
+
+        Where several are free, all its parts are measured at once instead.
+        """
+        mine = len(homes) == 1 and homes[0].sensors == (sensor,) and sensor in self.sensors
+        return mine and len(plan) >= FEWEST_BEAMS and not self._whole.get(sensor, 0)
+
+    def slice_of(self, work: Sweep, number: int, of: int) -> Sweep | None:
+        """One slice of a sweep, the first one first; None: that sweep has come meanwhile, or was given up."""
+        if number == 0:
+            self._sliced[work.sensor] = Divided(work.plan, of, in_time=True)
+        divided = self._sliced.get(work.sensor)
+        if divided is None or divided.plan is not work.plan or divided.is_over:
+            return None
+        return replace(work, part=number, divided=divided)
 
     def _is_whole(self, sensor: str) -> bool:
         """Whether its sweeps could not be measured in parts lately."""

@@ -128,6 +128,16 @@ class Workers:
         for work in self._shared.parts(Sweep(sensor, plan, conditions), self._homes):
             self._owe(work)
 
+    def has_slices(self, sensor: str, plan: ScanPlan) -> bool:
+        """Whether that sweep may be measured in slices of time."""
+        return not self.in_virtual_time and self._shared.has_slices(sensor, plan, self._homes)
+
+    def request_slice(self, sensor: str, plan: ScanPlan, conditions: Conditions, number: int, of: int) -> None:
+        """Measure one slice of a sweep, see `parts`; the scan comes when all have been measured."""
+        work = self._shared.slice_of(Sweep(sensor, plan, conditions), number, of)
+        if work is not None:
+            self._owe(work)
+
     def _owe(self, work: Sweep) -> None:
         home = self._home[work.sensor]
         home.owed.append(work)

@@ -230,7 +230,7 @@ def serve(pipe: WorkerEnd, build: BuildMeasures) -> None:
 
 def _measure(
     pipe: WorkerEnd, measures: Mapping[str, Measure], reported: Reported, sensor: str, plan: Any, conditions: Any,
-    part: tuple[int, int] | None = None,
+    part: tuple[int, int, bool] | None = None,
 ) -> None:  # fmt: skip
     try:
         measure = measures[sensor]

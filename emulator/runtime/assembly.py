@@ -298,6 +298,7 @@ def start(
     tell_vehicle(instruments, daemon.incidents)
     if daemon.feeding is not None:
         daemon.feeding.call = daemon.call
+        daemon.feeding.has_slices = measuring.has_slices
     try:
         daemon.announcer = announcer_of(instruments)
     except BaseException:

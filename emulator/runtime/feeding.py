@@ -4,7 +4,8 @@ Belongs here: the feed of a scenario, when a sweep is measured, what of the feed
 (live), lock-step (lockstep), who measures (measuring).
 
 In real time a sweep is asked for when all poses that its beams want are known, or when it must be begun to be sent in
-time, whichever is first. In virtual time it is asked for at its end: all that was reported by then is known.
+time, whichever is first; of one that is measured in slices the same holds for each of them. In virtual time it is asked
+for at its end: all that was reported by then is known.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from emulator.live.receivers import (
 )
 from emulator.live.samples import Update
 from emulator.live.tracks import NOTHING, World
-from emulator.runtime.lead import Lead
+from emulator.runtime.slicing import Slicing
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
 from emulator.world.feed_record import book_of
@@ -69,11 +70,15 @@ class Feeding:
         self._receiver: Receiver | None = None
         self._waiting: dict[str, int] = {}
         "Sensors whose sweep waits for poses -> its last beam."
-        self._asked_ns: dict[str, dict[int, int]] = {}
-        "By sensor: the beginnings of sweeps, and when each was asked for."
-        self._due_ns: dict[str, tuple[int, int]] = {}
-        "By sensor: the beginning of the sweep that it wants next, and when that is to be asked for."
-        self._leads: defaultdict[str, Lead] = defaultdict(Lead)
+        self._asked_ns: dict[str, dict[int, tuple[int, int]]] = {}
+        "By sensor: the beginnings of sweeps, when each or its last slice was asked for, and how many slices it has."
+        self._due_ns: dict[str, tuple[tuple[int, int], int]] = {}
+        "By sensor: the beginning of the sweep that it wants next, which slice, and when that is to be asked for."
+        self._slicing: defaultdict[str, Slicing] = defaultdict(Slicing)
+        self._chosen: dict[str, tuple[int, int]] = {}
+        "By sensor: the beginning of the sweep that was looked at last, and in how many slices it is measured."
+        self.has_slices: Callable[[str, ScanPlan], bool] = lambda sensor, plan: False
+        "Whether whoever measures can do so in slices."
         self.on_update: Callable[[int, dict[str, object]], None] | None = None
         "Informed of everything that is used of the feed: for a recording."
         self._file: Iterator[Reported] | None = None
@@ -160,53 +165,74 @@ class Feeding:
     # ------------------------------------------------------------ what is asked
 
     def ask_ns(self, sensor: str, plan: ScanPlan, earliest_ns: int) -> int:
-        """When that sweep is to be measured."""
-        end_ns = plan.start_ns + round(plan.duration_s * 1e9)
+        """When that sweep is to be measured, or its first slice."""
         if self._real_ns is None:
-            return end_ns
+            return plan.start_ns + round(plan.duration_s * 1e9)
         if self._file is not None:
             return earliest_ns
-        last_ns = plan.start_ns + round(1e9 * float(plan.fire_offset_s.max())) if len(plan) else end_ns
+        return max(earliest_ns, self.slice_ns(sensor, plan, 0, self.slices(sensor, plan)))
+
+    def slices(self, sensor: str, plan: ScanPlan) -> int:
+        """In how many slices that sweep is measured; 1: whole."""
+        if self._real_ns is None or self._file is not None or not len(plan):
+            return 1
+        start_ns, of = self._chosen.get(sensor, (-1, 1))
+        if start_ns != plan.start_ns:
+            of = self._slicing[sensor].choose(plan, self.has_slices(sensor, plan))
+            self._chosen[sensor] = plan.start_ns, of
+        return of
+
+    def slice_ns(self, sensor: str, plan: ScanPlan, number: int, of: int) -> int:
+        """When that slice is to be measured; long ago: all poses that its beams want are known."""
+        assert self._real_ns is not None
+        slicing, end_ns = self._slicing[sensor], plan.start_ns + round(plan.duration_s * 1e9)
+        last_ns = end_ns if not len(plan) else _last_ns(plan) if of == 1 else slicing.last_ns(plan, number)
+        due_ns = end_ns - slicing.before_end_ns(number, of)
         if self.book.newest_s * 1e9 >= last_ns:
             self._waiting.pop(sensor, None)
-            return earliest_ns
-        self._waiting[sensor] = last_ns
-        due_ns = max(earliest_ns, end_ns - self._leads[sensor].ns)
+            if number == 0:
+                return 0
+            # behind the slice before it, of which it is taken that it is as long as others
+            asked_ns, _ = self._asked_ns.get(sensor, {}).get(plan.start_ns, (0, of))
+            due_ns = min(due_ns, asked_ns + round(slicing.lead.mean_ns))
+        else:
+            self._waiting[sensor] = last_ns
         if due_ns > self._real_ns():
-            self._due_ns[sensor] = plan.start_ns, due_ns
+            self._due_ns[sensor] = (plan.start_ns, number), due_ns
         return due_ns
 
     def knows(self, plan: ScanPlan) -> bool:
         """Whether all poses that its beams want are known: nothing newer comes for them."""
         if self._real_ns is None or not len(plan):
             return False
-        last_ns = plan.start_ns + round(1e9 * float(plan.fire_offset_s.max()))
-        return self._file is not None or self.book.newest_s * 1e9 >= last_ns
+        return self._file is not None or self.book.newest_s * 1e9 >= _last_ns(plan)
 
     def came(self, sensor: str, plan: ScanPlan, now_ns: int) -> None:
         """Its scan has come."""
-        asked_ns = self._asked_ns.get(sensor, {}).pop(plan.start_ns, None)
+        asked_ns, of = self._asked_ns.get(sensor, {}).pop(plan.start_ns, (None, 1))
         if asked_ns is not None and self._real_ns is not None:
             took = float(now_ns - asked_ns)
             self.book.ages.took.add_one(took * 1e-9)
-            self._leads[sensor].add(took)
+            self._slicing[sensor].add(took, of)
 
-    def world(self, sensor: str, plan: ScanPlan, now_ns: int) -> World:
-        """What its beams need, as it is known now."""
+    def world(self, sensor: str, plan: ScanPlan, now_ns: int, number: int = 0, of: int = 1) -> World:
+        """What its beams need, or those of one of `of` slices, as it is known now."""
         begin_s = plan.start_ns * 1e-9
         end_s = begin_s + plan.duration_s
         if self._file is not None:
             self._pull(now_ns if self._real_ns is None else plan.start_ns + round(plan.duration_s * 1e9))
         if self._real_ns is not None:
             asked = self._asked_ns.setdefault(sensor, {})
-            start_ns, due_ns = self._due_ns.pop(sensor, (-1, now_ns))
+            which, due_ns = self._due_ns.pop(sensor, ((-1, 0), now_ns))
             # what the sender comes late to ask for it is part of what measuring takes
-            asked[plan.start_ns] = min(now_ns, due_ns) if start_ns == plan.start_ns else now_ns
+            asked[plan.start_ns] = min(now_ns, due_ns) if which == (plan.start_ns, number) else now_ns, of
             if len(asked) > MOST_ASKED:
                 del asked[min(asked)]
         self._waiting.pop(sensor, None)
         if len(plan):
             beams_s = begin_s + plan.fire_offset_s
+            if of > 1:
+                beams_s = beams_s[self._slicing[sensor].beams(plan, number)]
             delay_s = 0.0 if self._real_ns is None else self._clock.delay_ns * 1e-9
             self.book.asked(beams_s, delay_s)
             if self._real_ns is not None and np.isfinite(self.book.newest_s):
@@ -250,6 +276,8 @@ class Feeding:
         """Counts, ages, errors of extrapolation, the feeder's clock."""
         reported: dict[str, object] = {"feed": self.live.feed, **_counts(self.book.counts), **self.book.ages.report()}
         reported["actors"] = len(self.book.actors())
+        if self._real_ns is not None:
+            reported["in_slices"] = self._in_slices
         if self._real_ns is not None and self._maps == "offset":
             reported |= {
                 "offset_ms": round(self._clock.offset_ns * 1e-6, 3),
@@ -258,6 +286,10 @@ class Feeding:
             }
         reported["last_event"] = self.book.events[-1][1] if self.book.events else None
         return reported
+
+    @property
+    def _in_slices(self) -> int:
+        return sum(one.in_slices for one in self._slicing.values())
 
     def lines(self) -> list[str]:
         """The same for people."""
@@ -276,6 +308,7 @@ class Feeding:
                 f"feed: the newest sample is {newest:.1f} ms old when a sweep is begun, {ahead:.1f} ms before the beam"
                 f" (medians); measuring takes {took:.1f} ms, p99 {1e3 * ages.took.share(0.99):.1f} ms; play-out delay"
                 f" {1e-6 * self._clock.delay_ns:.1f} ms"
+                + (f"; {self._in_slices} of {ages.took.count} sweeps in slices of time" if self._in_slices else "")
             )
         if isinstance(off := report["error_mm"], Mapping) and isinstance(turn := report["error_mrad"], Mapping):
             found.append(
@@ -283,6 +316,11 @@ class Feeding:
                 f" {turn['worst']:.2f} mrad at worst"
             )
         return found
+
+
+def _last_ns(plan: ScanPlan) -> int:
+    """When the last of its beams fires."""
+    return plan.start_ns + round(1e9 * float(plan.fire_offset_s.max()))
 
 
 def report_row(now_ns: int, run_ns: int, update: Update, again: bool) -> dict[str, object]:

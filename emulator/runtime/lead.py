@@ -53,6 +53,19 @@ class Lead:
         self._most_ns = max(off_ns, FORGET * self._most_ns)
 
     @property
+    def mean_ns(self) -> float:
+        """What one takes; 0: not known."""
+        return 0.0 if self._mean_ns is None else self._mean_ns
+
+    def times(self, share: float) -> Lead:
+        """The same of what is taken to take such a share of it: with room as of a first one, until it is known."""
+        found = Lead()
+        if self._mean_ns is not None:
+            found._mean_ns, found._square = share * self._mean_ns, share * share * self._square
+            found._most_ns = share * max(self._most_ns, SPREADS * FIRST_SPREAD * self._mean_ns)
+        return found
+
+    @property
     def ns(self) -> int:
         """So long before it must be sent the next one is asked for."""
         if self._mean_ns is None:

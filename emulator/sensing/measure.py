@@ -15,9 +15,9 @@ import numpy as np
 from emulator.casting.detail import detailed
 from emulator.errors import ScenarioError
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
-from emulator.measuring.parts import PartOfScan, beams_of, part_of_scan
+from emulator.measuring.parts import PartOfScan, beams_of, rows_of, slice_of
 from emulator.physics import atmosphere
-from emulator.physics.arrays import Floats, indexes
+from emulator.physics.arrays import Floats, Ints, indexes
 from emulator.physics.materials import Material, SurfaceTable, material, material_from_mapping, with_levels
 from emulator.physics.random_streams import RandomStreams
 from emulator.scenario.weather import WeatherConfig
@@ -115,8 +115,8 @@ class Measure:
         self._at_rest: tuple[Resting, ...] = ()
         "Of a sensor that does not move: the latest last."
         self._again: _Again | None = None
-        self._parts: dict[tuple[int, int], tuple[Bundles, Bundles]] = {}
-        "Of sweeps that are measured in parts: the bundles of the latest, and those of its part."
+        self._parts: dict[tuple[int, int, bool], tuple[Bundles, Ints, Bundles]] = {}
+        "Of sweeps that are measured in parts: the bundles of the latest, the beams of its part and their bundles."
         self._falling = Falling(model)
         self._soft = SoftTargets(model, receiver.bin_m, self._falling.undrawn)
         still = (mount.actor is None or scene.motions[scene.index[mount.actor]].still) and not beside
@@ -200,8 +200,10 @@ class Measure:
                     self._refused[f"changed weather is not used: {error}"] = None
         self._weather = weather
 
-    def part(self, plan: ScanPlan, conditions: Conditions, number: int, of: int) -> PartOfScan | None:
-        """Some beams of one sweep, see `parts`; None: this one is not measured in parts.
+    def part(
+        self, plan: ScanPlan, conditions: Conditions, number: int, of: int, in_time: bool = False
+    ) -> PartOfScan | None:
+        """Some beams of one sweep, see `parts`, or one slice; None: this one is not measured in parts.
 
         Each beam has what it has in the whole sweep, to the rounding of float64.
         """
@@ -219,7 +221,8 @@ class Measure:
         ):
             return None
         with np.errstate(under="ignore"):
-            return part_of_scan(self._part_measured(local, air, number, of), number, of)
+            at = slice_of(plan, number, of) if in_time else beams_of(len(plan), number, of)
+            return rows_of(self._part_measured(local, air, at, (number, of, in_time)), at)
 
     def _has_parts(self, plan: ScanPlan) -> bool:
         """No beam of it depends on others, nor on how many there are; and nothing is kept from sweep to sweep."""
@@ -231,16 +234,15 @@ class Measure:
             return False
         return self._pruning is None or not self._pruning.pays(len(plan), self._bundles.sub_beams)
 
-    def _part_measured(self, plan: ScanPlan, air: AirNow, number: int, of: int) -> Scan:
+    def _part_measured(self, plan: ScanPlan, air: AirNow, at: Ints, part: tuple[int, int, bool]) -> Scan:
         """A scan of all beams, of which those of other parts see nothing."""
         bundles = self._bundles.of(plan)
-        kept = self._parts.get((number, of))
-        if kept is None or kept[0] is not bundles:
-            self._parts[number, of] = kept = bundles, part_of(bundles, beams_of(len(plan), number, of))
-        at = beams_of(len(plan), number, of)
+        kept = self._parts.get(part)
+        if kept is None or kept[0] is not bundles or not np.array_equal(kept[1], at):
+            self._parts[part] = kept = bundles, at, part_of(bundles, at)
         angles = plan.azimuth_rad[at], plan.elevation_rad[at], plan.fire_offset_s[at]
         some = replace(plan, azimuth_rad=angles[0], elevation_rad=angles[1], fire_offset_s=angles[2])
-        view = self._view(some, kept[1], air)
+        view = self._view(some, kept[2], air)
         found = view.echoes
         return self._received(plan, replace(view, found=replace(found, beam=at[found.beam]), kept=None), NIGHT)
 

@@ -27,13 +27,15 @@ class Placed:
         self._place(plan, conditions)
         return self._measure(plan, conditions)
 
-    def part(self, plan: ScanPlan, conditions: Conditions, number: int, of: int) -> PartOfScan | None:
+    def part(
+        self, plan: ScanPlan, conditions: Conditions, number: int, of: int, in_time: bool = False
+    ) -> PartOfScan | None:
         """Some beams of one sweep; None: it is not measured in parts."""
         divided = getattr(self._measure, "part", None)
         if divided is None:
             return None
         self._place(plan, conditions)
-        found: PartOfScan | None = divided(plan, conditions, number, of)
+        found: PartOfScan | None = divided(plan, conditions, number, of, in_time)
         return found
 
     def _place(self, plan: ScanPlan, conditions: Conditions) -> None:

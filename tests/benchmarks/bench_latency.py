@@ -8,7 +8,8 @@ dropped, lateness as without a feed.
 Its `feed:` lines say where the age comes from. A beam of a sweep that is begun before it fires is as old as the newest
 sample then (half a period of the feed, and its way), and as long as the sweep is begun before the beam: what measuring
 takes, a margin, and how far the beam is before the sweep's end. A beam whose poses are all known when its sweep is
-begun waits for nothing: the play-out delay less what its sample is ahead of it, half a period at the median.
+begun waits for nothing: the play-out delay less what its sample is ahead of it, half a period at the median. A sweep in
+slices of time is begun twice: "measuring takes" is of the last slice then.
 """
 
 from __future__ import annotations

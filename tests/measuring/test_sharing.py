@@ -10,7 +10,7 @@ import pytest
 
 from emulator.live.tracks import NOTHING
 from emulator.measuring.conditions import NORMAL, Conditions
-from emulator.measuring.measuring import Measures, NotMeasured
+from emulator.measuring.measuring import Measures, NotMeasured, part_measured
 from emulator.measuring.sharing import WHOLE_FOR
 from emulator.measuring.supervision import Workers
 from emulator.process.clock import ManualClock
@@ -324,3 +324,121 @@ def test_a_sweep_of_which_a_part_is_late_comes_back_once_and_nothing_more_of_it_
         pool.workers.poll()
     assert pool.workers.collect("front") == []
     pool.workers.close()
+
+
+def pool_in_real_time() -> tuple[Pool, ManualClock]:
+    pool, clock = pool_of(1), ManualClock()
+    pool.workers._run_clock = clock
+    return pool, clock
+
+
+def served(pool: Pool, rounds: int = 10) -> list[Scan]:
+    for _ in range(rounds):
+        pool.now_ns()
+        pool.workers.poll()
+    return pool.workers.collect("front")
+
+
+def sliced(pool: Pool, wanted: ScanPlan, number: int, of: int = 2) -> None:
+    pool.workers.request_slice("front", wanted, FED, number, of)
+
+
+def test_slices_of_a_sweep_come_together_when_the_last_one_has_been_measured() -> None:
+    pool, _ = pool_in_real_time()
+    wanted = sweep(1)
+    assert pool.workers.has_slices("front", wanted)
+    sliced(pool, wanted, 0)
+    assert served(pool) == []
+    sliced(pool, wanted, 1)
+    [scan] = served(pool)
+    assert scan.plan is wanted
+    assert scan.range_m[:, 0].tolist() == list(range(181))
+    sliced(pool, wanted, 1)
+    assert served(pool) == [], "it has come"
+    assert counts(pool) == [2]
+    pool.workers.close()
+
+
+def test_slices_are_of_one_process_in_real_time_alone() -> None:
+    several = pool_of(2)
+    assert not several.workers.has_slices("front", sweep(1)), "virtual time"
+    several.workers._run_clock = ManualClock()
+    assert not several.workers.has_slices("front", sweep(1)), "all parts at once"
+    several.workers.close()
+    pool, _ = pool_in_real_time()
+    assert not pool.workers.has_slices("front", sweep(1, beams=20))
+    pool.workers.close()
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_killed_process_costs_its_slice_being_measured_again(number: int) -> None:
+    pool, _ = pool_in_real_time()
+    pool.on_launch = lambda made: setattr(made, "sends", numbered)
+    wanted = sweep(1)
+    for k in range(2):
+        if k == number:
+            pool.processes[0].dies_at = lambda sensor, plan: True
+        sliced(pool, wanted, k)
+        early = served(pool, 5)
+        pool.workers.check()
+        early += served(pool, 5)
+        assert len(early) == k
+    assert early[0].range_m[:, 0].tolist() == list(range(181))
+    assert len(pool.processes) == 2
+    assert pool.workers.failures == []
+    pool.workers.close()
+
+
+def test_a_sweep_that_has_no_parts_is_whole_when_its_first_slice_has_been_measured() -> None:
+    pool, _ = pool_in_real_time()
+    pool.processes[0].divides = False
+    wanted = sweep(1)
+    sliced(pool, wanted, 0)
+    [scan] = served(pool)
+    assert scan.range_m[:, 0].tolist() == list(range(181))
+    sliced(pool, wanted, 1)
+    assert served(pool) == []
+    assert not pool.workers.has_slices("front", sweep(2)), "for some sweeps"
+    for number in range(2, 2 + WHOLE_FOR):
+        pool.workers.request("front", sweep(number), FED)
+        served(pool, 3)
+    assert pool.workers.has_slices("front", sweep(100))
+    pool.workers.close()
+
+
+def test_a_slice_that_stands_still_ends_its_sweep_when_it_is_late() -> None:
+    pool, clock = pool_in_real_time()
+    sliced(pool, sweep(1), 0)
+    sliced(pool, sweep(1), 1)
+    served(pool)
+    wanted = sweep(2)
+    sliced(pool, wanted, 0)
+    pool.processes[0].stopped = True
+    sliced(pool, wanted, 1)
+    clock.set(3 * SECOND)
+    came: list[Scan] = []
+    for _ in range(60):
+        pool.clock.set(pool.clock.now_ns() + 50 * MS)
+        pool.workers.check()
+        came += pool.workers.collect("front")
+    assert [type(scan) for scan in came] == [NotMeasured]
+    pool.processes[0].stopped = False
+    assert served(pool) == []
+    pool.workers.close()
+
+
+def test_weather_that_has_no_parts_any_more_makes_a_later_slice_the_whole_sweep() -> None:
+    """A process that was asked for a slice never answers that it is nothing: what holds may have changed meanwhile."""
+    asked_for: list[int] = []
+
+    class Whole:
+        def __call__(self, wanted: ScanPlan, conditions: Conditions = NORMAL) -> Scan:
+            asked_for.append(wanted.sweep)
+            return numbered(Scan.empty(wanted))
+
+        def part(self, wanted: ScanPlan, conditions: Conditions, number: int, of: int, in_time: bool) -> None:
+            return None
+
+    assert isinstance(part_measured(Whole(), sweep(3), FED, 1, 2, True), Scan)
+    assert part_measured(Whole(), sweep(4), FED, 1, 2) is None
+    assert asked_for == [3]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 
 from emulator.measuring.conditions import NORMAL, ActiveFault, Conditions
-from emulator.measuring.parts import PartOfScan, beams_of, joined
+from emulator.measuring.parts import PartOfScan, beams_of, joined, slice_of
 from emulator.sensing.measure import Measure
+from protocols.lms2xx.variants import STANDARD, comb
 from protocols.scan import ScanPlan
 from tests.sensing.rig import build, plan, plate
 
@@ -57,6 +59,19 @@ def test_parts_together_are_the_whole_sweep(tmp_path: Path, of: int) -> None:
     assert echoes > 12 * 100
 
 
+@pytest.mark.parametrize("of", [2, 3])
+def test_slices_together_are_the_whole_sweep(tmp_path: Path, of: int) -> None:
+    whole, sliced, beams = street(tmp_path), street(tmp_path), comb(STANDARD, None)
+    for number in range(6):
+        wanted = replace(sweep(number), fire_offset_s=beams.fire_offset_s)
+        parts = [sliced.part(wanted, NORMAL, k, of, True) for k in range(of)]
+        found, expected = joined(wanted, [one for one in parts if one is not None]), whole(wanted)
+        np.testing.assert_allclose(found.range_m, expected.range_m, rtol=1e-10)
+        np.testing.assert_allclose(found.intensity, expected.intensity, rtol=1e-8)
+        assert np.array_equal(found.actor, expected.actor)
+        assert np.isfinite(found.range_m).sum() > 100
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -84,3 +99,22 @@ def test_nor_under_a_fault_of_what_is_measured(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("count", "of"), [(361, 2), (361, 3), (5, 7), (1, 1)])
 def test_every_beam_is_in_one_part(count: int, of: int) -> None:
     assert np.concatenate([beams_of(count, k, of) for k in range(of)]).tolist() == list(range(count))
+
+
+def test_a_slice_ends_at_the_pause_between_two_turns() -> None:
+    """An LMS291 interlaces two turns: every second beam fires in the second one, 6.7 ms after the last of the first."""
+    fire_s = comb(STANDARD, None).fire_offset_s
+    wanted = replace(sweep(0), fire_offset_s=fire_s)
+    first, second = (slice_of(wanted, k, 2) for k in range(2))
+    assert (first.tolist(), second.tolist()) == (list(range(0, 361, 2)), list(range(1, 361, 2)))
+    assert fire_s[second].min() - fire_s[first].max() > 0.0066
+
+
+@pytest.mark.parametrize(("count", "of"), [(361, 2), (361, 3), (64, 4), (5, 7), (1, 1)])
+def test_every_beam_is_in_one_slice_and_none_fires_before_one_of_the_slice_before(count: int, of: int) -> None:
+    fire_s = 1e-4 * np.random.default_rng(count).permutation(count).astype(np.float64)
+    wanted = replace(plan(np.zeros(count)), fire_offset_s=fire_s)
+    found = [slice_of(wanted, k, of) for k in range(of)]
+    assert np.sort(np.concatenate(found)).tolist() == list(range(count))
+    assert np.concatenate([np.sort(fire_s[at]) for at in found]).tolist() == sorted(fire_s.tolist())
+    assert max(map(len, found)) - min(map(len, found)) <= 1, "where all pauses are as long it is an even division"
