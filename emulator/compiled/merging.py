@@ -23,8 +23,8 @@ def merged(
 
     `spread_m`, `spread_2` : (0,) where that source has none.
 
-    Returns beam and source (2, room); range, amplitude, blocked share and spread (4, room), the last zeros where neither
-    has one; how many of that room are used.
+    Returns beam and source (2, room); range, amplitude, blocked share and spread (4, room), the last zeros where
+    neither has one; how many of that room are used.
     """
     n, m, fewer = len(beam), len(beam_2), len(without)
     whole, sizes = np.empty((2, n + m), np.int64), np.empty((4, n + m))
