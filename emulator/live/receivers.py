@@ -12,7 +12,6 @@ import socket
 import struct
 import sys
 import threading
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable
 from typing import Protocol
@@ -136,12 +135,14 @@ class Receiver:
 
     def __init__(
         self, host: str, port: int, tcp: Cut | None, decoder: Decoder, clock_ns: Callable[[], int], take: Take,
-        refuse: Refuse, counts: Counter[str] | None = None,
+        refuse: Refuse, counts: Counter[str] | None = None, utc_ns: Callable[[], int] | None = None,
     ) -> None:  # fmt: skip
-        """`tcp`: how a stream is cut into messages; None: datagrams. `OSError` where the address cannot be had."""
+        """`tcp`: how a stream is cut into messages; None: datagrams. `utc_ns`: the clock of the kernel's stamps; None:
+        datagrams come when they are read. `OSError` where the address cannot be had.
+        """
         self.counts = Counter() if counts is None else counts
         self._decoder, self._clock_ns, self._take, self._refuse = decoder, clock_ns, take, refuse
-        self._budget = Budget()
+        self._budget, self._utc_ns = Budget(), utc_ns
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM if tcp else socket.SOCK_DGRAM)
         self._tcp = tcp
@@ -150,7 +151,7 @@ class Receiver:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             else:
                 self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
-                if STAMPS is not None:
+                if STAMPS is not None and utc_ns is not None:
                     with contextlib.suppress(OSError):  # then it has come when it is read
                         self._socket.setsockopt(socket.SOL_SOCKET, STAMPS, 1)
             self._socket.bind((host, port))
@@ -200,7 +201,7 @@ class Receiver:
                 except OSError:
                     break
                 self.counts["datagrams"] += 1
-                self._one(data, peer, unread_ns(ancillary, time.time_ns()))
+                self._one(data, peer, 0 if self._utc_ns is None else unread_ns(ancillary, self._utc_ns()))
 
     def _tcp_loop(self) -> None:
         held: dict[socket.socket, bytearray] = {}

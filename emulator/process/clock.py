@@ -31,6 +31,11 @@ def wall_ns(clock: Clock, at_ns: int) -> int:
     return time.time_ns() - clock.now_ns() + at_ns
 
 
+def utc_ns() -> int:
+    """Now, as nanoseconds since 1970: what the kernel stamps with. It may be set, and go back."""
+    return time.time_ns()
+
+
 class ManualClock:
     """Time that moves when it is set."""
 

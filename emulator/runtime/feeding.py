@@ -32,6 +32,7 @@ from emulator.live.receivers import (
 )
 from emulator.live.samples import Update
 from emulator.live.tracks import NOTHING, World
+from emulator.process.clock import utc_ns
 from emulator.runtime.slicing import Slicing
 from emulator.scenario.live_options import LiveOptions
 from emulator.scenario.scenario import Scenario
@@ -102,7 +103,10 @@ class Feeding:
         host = "127.0.0.1" if place.host == "localhost" else place.host
         now_ns = self._real_ns or (lambda: 0)
         try:
-            self._receiver = Receiver(host, place.port, tcp, decoder, now_ns, self._from_outside, self._refused, counts)
+            self._receiver = Receiver(
+                host, place.port, tcp, decoder, now_ns, self._from_outside, self._refused, counts,
+                None if self._real_ns is None else utc_ns,
+            )  # fmt: skip
         except OSError as error:
             raise LinkError(f"{self.live.feed}: {error.strerror or error}; want a free address") from None
         self._receiver.start()
