@@ -88,7 +88,7 @@ def unseen_w(model: SensorModel) -> float:
     """Largest background that does not show in the noise. [W]"""
     receiver = model.receiver
     shot = _shot_a2_w(receiver.gain, receiver.ionisation_ratio, receiver.responsivity_a_w, receiver.bandwidth_hz)
-    return _unseen_share(model.pulse.fwhm_m, model.threshold, model.lsb_m) * receiver.baseline_a**2 / shot
+    return _unseen_share(model) * receiver.baseline_a**2 / shot
 
 
 @lru_cache(maxsize=64)
@@ -98,14 +98,14 @@ def _shot_a2_w(gain: float, ionisation_ratio: float, responsivity_a_w: float, ba
     return 2.0 * ELEMENTARY_CHARGE_C * responsivity_a_w * gain**2 * excess * bandwidth_hz
 
 
-def _unseen_share(fwhm_m: float, threshold: float, step_m: float) -> float:
+def _unseen_share(model: SensorModel) -> float:
     """Share of the square of the noise that shifts no crossing by half a step.
 
     The threshold follows the noise, and three rms of it shift the level. A crossing that is nearer than `TOP` to its
     maximum is moved farther by any change.
     """
-    slope = math.pi / fwhm_m * math.sqrt(threshold * TOP)
-    return min(INVISIBLE, step_m * slope / (threshold + 3.0))
+    slope = math.pi / model.pulse.fwhm_m * math.sqrt(model.threshold * TOP)
+    return min(INVISIBLE, model.lsb_m * slope / (model.threshold + 3.0))
 
 
 @dataclass(frozen=True)
